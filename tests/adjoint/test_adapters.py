@@ -1,4 +1,7 @@
-"""Adapters to JAX and PyTorch: values, gradients, compilation and errors. Tests of absent packages are skipped."""
+"""Adapters of ``wd.adjoint`` to JAX and PyTorch: values, gradients, compilation and errors.
+
+A test is skipped if its package is not installed.
+"""
 
 import importlib
 
@@ -85,7 +88,10 @@ def test_pytorch_has_values_and_gradients(torch):
 
 
 def test_pytorch_operators_pass_the_checks_of_pytorch(torch):
-    """The operator must pass ``opcheck``, which tests schema, shapes for ``torch.compile`` and derivative."""
+    """The PyTorch operators of a linearised function must pass ``torch.library.opcheck``.
+
+    It tests their schema, their shapes for ``torch.compile``, and their derivatives.
+    """
     wrapped("torch")
     from warpdiff.adjoint import torch as adapter
 

@@ -39,9 +39,10 @@ def changes_for(adjoints, rng):
 
 
 def check_transpose(linearised, rng):
-    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y, where jvp gives J x and vjp gives Jᵀ y.
+    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y.
 
-    The check is made for each variable alone, and for all variables together.
+    J is the matrix of derivatives: jvp gives J x, and vjp gives Jᵀ y. The check is made for each variable alone, and
+    for all variables together.
     """
     y = rng.normal(size=linearised.value.shape)
     adjoints = linearised.vjp(y)
@@ -158,7 +159,7 @@ def test_truncation_is_the_largest_relative_error(kind, truncation, rng):
 
 @pytest.mark.parametrize("depth_um", [1e-4, 1.0, 10.0, 30.0])
 def test_series_are_long_enough_for_any_depth(depth_um):
-    """Efficiencies must be accurate for any depth.
+    """Order efficiencies must be accurate for gratings of any depth.
 
     Rounding errors of Bessel functions must not end the series of deep gratings after too few terms.
     """
@@ -182,7 +183,8 @@ def test_flat_surfaces_have_derivatives():
     flat = wd.HeightField(np.zeros((4, 4)), 0.5)
     value, vjp, _ = wd.adjoint.spectral_reflectance(flat, (0.1, 0.0, 1.0), (-0.1, 0.0, 1.0), 500.0)
     assert value[0] > 0.5
-    # The power of a flat surface in the mirror direction is a maximum, so that its derivatives by the heights are 0.
+    # The power of a flat surface in the mirror direction is a maximum, so that its derivatives with respect to the
+    # heights are 0.
     np.testing.assert_allclose(vjp([1.0])["heights_um"], 0.0, atol=1e-9)
 
 
@@ -267,8 +269,8 @@ def test_arguments_are_checked(rng):
 
 
 OUTLINE = wd.profiles.Outline([0.0, 0.3, 0.6], [0.0, 0.1, 0.05], 1.3)
-# Arguments that a function requires to have a derivative with respect to a variable, by the name of the variable. For
-# other variables, the default arguments suffice.
+# Arguments with which a function of ``wd.adjoint`` has a derivative with respect to a variable, by the name of the
+# variable. For other variables, the default arguments suffice.
 NEEDED = {
     "angular_diameter_deg": {"coherence": coherence("source")}, "sigma_um": {"coherence": coherence("centred")},
     "n": {"material": FILM}, "k": {"material": FILM}, "film_nm": {"material": FILM},
@@ -333,12 +335,12 @@ def test_kinks_give_one_warning_with_their_number():
     with pytest.warns(wd.WarpdiffWarning, match="1 of 3 pairs of directions are at the kink"):
         wd.adjoint.spectral_reflectance(FIELD, (0.9, 0.1e-12, 0.4), views, 500.0, wrt=("to_view",))
     period = 1.0
-    # At normal incidence, the first order propagates along the horizon if the wavelength λ equals the period.
+    # At normal incidence, the first diffraction order leaves along the surface if the wavelength λ equals the period.
     grating = wd.gratings.sinusoidal(period, 0.1)
     for side in (-1e-8, 1e-8):
         with pytest.warns(wd.WarpdiffWarning, match="1 of 2 sets of orders have an order at the horizon"):
             wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 + side), 600.0], wrt=("pitch_um",))
-    # With respect to heights, efficiencies are smooth even if an order is at the horizon, so that no warning is
+    # Order efficiencies are smooth functions of the heights even if an order is at the horizon, so that no warning is
     # expected.
     wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 - 1e-8), 600.0])
     aluminium = wd.Material.metal("Al")

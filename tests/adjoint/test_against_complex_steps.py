@@ -15,7 +15,7 @@ from conftest import hemisphere, slow
 import warpdiff as wd
 
 KINDS = ("averaged", "source", "centred", "replicas")
-# Seeds of random configurations. Two run by default; all 50 for each kind of coherence run with the slow tests.
+# Seeds of random configurations. Two seeds run by default. The slow tests run all 50 for each kind of coherence.
 SEEDS = [*range(2), *(slow(seed) for seed in range(2, 50))]
 ORDER_SEEDS = [*range(2), *(slow(seed) for seed in range(2, 25))]
 # First and last wavelength of the tables of refractive indices [nm]. The tables have only these two entries, so that
@@ -47,7 +47,7 @@ def directions(rng, heightfield, wavelength_nm):
 
 
 def optics(rng):
-    """Return random optics in two forms: keyword arguments for the library, and parameters for the reference."""
+    """Return a random material or index of refraction: arguments for the library, and parameters for the reference."""
     which = rng.integers(4)
     if which == 0:
         ior = float(rng.uniform(1.2, 2.5))
@@ -74,7 +74,7 @@ def with_indices(p, wavelength_nm):
 
 
 def error_of(result, exact, scale):
-    """Return the largest error, relative to the largest exact derivative, or to 1e-4 of ``scale`` if this is larger.
+    """Return the largest error of derivatives, relative to the largest exact one, or to 1e-4 of ``scale`` if larger.
 
     ``scale`` is the size of the terms whose sum is the derivative.
     """
@@ -133,7 +133,8 @@ def test_spectral_derivatives(kind, seed):
     adjoints = vjp(weights)
     for name in names:
         # If only the mirror order contributes to a direction, the derivative with respect to a pitch may be far below
-        # value / pitch. The error of this derivative is then compared with the size of the terms that cancel in it.
+        # the reflectance divided by the pitch. The error of this derivative is then compared with the size of the terms
+        # that cancel in it.
         result, expected, scale = [], [], np.abs(weights * value).max() if name == "pitch_um" else 0.0
         key = REFERENCE_NAMES.get(name, name)
         for index in indices_of(name, heightfield, rng):
@@ -173,8 +174,8 @@ def test_derivatives_of_orders(energy, seed):
         heightfield, light, wavelength_nm, wrt=names, energy=energy, **settings
     )
     with warnings.catch_warnings():
-        # With so few samples, orders alias. They alias in the same way in the library and in the reference, so that the
-        # warning is not relevant here.
+        # With so few height samples, diffraction orders alias. They alias in the same way in the library and in the
+        # reference, so that the warning is not relevant here.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         orders = wd.order_efficiencies(heightfield, light, wavelength_nm, ior=math.inf, energy="stam").orders
     weights = rng.normal(size=value.shape)

@@ -1,4 +1,4 @@
-"""Outlines: coefficients and derivatives must equal those of numerical integrals along the segments of the outline."""
+"""Outlines (polygons of a profile): Fourier coefficients and derivatives equal numerical integrals along segments."""
 
 import math
 
@@ -11,15 +11,15 @@ import warpdiff as wd
 LIGHT, WAVELENGTH_NM = (0.3, 0.0, 1.0), 500.0
 POSITIONS, HEIGHTS = np.array([0.02, 0.11, 0.4, 0.4, 0.83]), np.array([0.0, 0.13, 0.16, 0.05, 0.02])
 PERIOD = 2.3
-# Nodes and weights of Gauss-Legendre quadrature for each segment. With 40 nodes, the integral of a phase of a few turns
-# has only rounding errors.
+# Nodes and weights of Gauss-Legendre quadrature for each segment of an outline. With 40 nodes, the integral of exp(iφ)
+# over a phase φ of a few turns has only rounding errors.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 
 
 def integral(positions, heights, kappa, r):
-    """Return ∫ exp(2πi(κh + ru)) du of order r over one period, by quadrature along each segment.
+    """Return the Fourier coefficient ∫ exp(2πi(κh + ru)) du of order r, by quadrature along each segment of a period.
 
-    u is the position in periods, and h the height. The complex result is a pair of real numbers.
+    u is the position in periods, and h the height. The complex result is returned as two real numbers.
     """
     ends, tops = np.append(positions, positions[0] + 1.0), np.append(heights, heights[0])
     share = (NODES[:, None] + 1.0) / 2.0

@@ -1,4 +1,4 @@
-"""``wd.adjoint.pixels``: values of pictures, transposes, differences of pictures, and errors of other pictures."""
+"""``wd.adjoint.pixels``: colours and derivatives equal those of pictures and explicit sums; bad calls raise errors."""
 
 import dataclasses
 import functools
@@ -44,7 +44,7 @@ def body():
 
 @pytest.fixture(scope="module")
 def view():
-    """Return a view of a part of the body's back. Directions change little within its pixels (small footprints)."""
+    """Return a view of a part of the tube. Directions change little within its pixels (small footprints)."""
     return wd.View((0.0, 2.0, 0.6), (0.0, 0.3, 0.0), up=(0.0, 0.0, -1.0), fov_y_deg=10.0, width=13, height=8)
 
 
@@ -75,7 +75,7 @@ def check_transposes(result, rng, *names):
 
 
 def reflected(renderer, surface, wrt=(), light=LIGHT, **options):
-    """Return colours with derivatives for the directions of pixels, and factors from these colours to the pixels."""
+    """Return XYZ in the directions of all pixels, with derivatives, and the ratios of pixel colours to these XYZ."""
     (lit,) = samples_of(renderer, light).lobes
     views = -lit.scattering_vectors - lit.to_lights
     ratio = lit.gains / reflectance_factors.gain(lit.to_lights, views, normal=1.0, masking=True)
@@ -123,7 +123,7 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
     """Derivatives by ``wd.adjoint`` must equal central differences of pictures, which are rendered by other code."""
-    # The default method fits basis functions to each surface. Their changes would dominate a difference by small steps.
+    # The default method fits basis functions to each surface. Two fits would differ more than two pictures do.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
     change = rng.normal(size=FIELD.shape)
@@ -142,7 +142,7 @@ def test_tangents_are_those_of_pictures(name, body, view, rng):
 
 
 def test_a_pixel_has_the_derivative_of_an_explicit_sum(body, view):
-    """The derivative of a pixel must equal that of an explicit sum by complex steps, wavelength by wavelength."""
+    """The derivative of a pixel must equal that of an explicit sum over wavelengths, computed by complex steps."""
     surface = wd.HeightField.of_known_scale(np.random.default_rng(3).normal(0.0, 0.05, (6, 8)), (0.09, 0.08))
     renderer = renderer_of(body, view, surface=surface)
     result = wd.adjoint.pixels(renderer, surface, LIGHT, tolerance=1e-4)
@@ -209,7 +209,7 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
 
 @pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
 def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
-    """Sums over diffraction orders with Gaussian weights (lobes) must be equal if neighbouring orders are joined.
+    """Sums over orders with wide Gaussian weights (lobes) may join neighbouring orders, with a small error.
 
     The lobes have very different sizes and directions.
     """
@@ -242,7 +242,7 @@ def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
 
 
 def test_unused_azimuths_are_not_needed(rng):
-    """A polar grid with only the azimuths of the tested directions must give the colours of a grid of all azimuths."""
+    """A polar grid with only the azimuths of the tested directions must give the same colours as all azimuths."""
     turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
     vectors = np.column_stack([np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns), np.full(420, -1.5)])
     lit = LitPixels(np.arange(420), vectors, np.zeros((420, 3)), np.ones(420), None, IlluminatedMaterial("D65"))
@@ -260,7 +260,7 @@ def test_unused_azimuths_are_not_needed(rng):
 
 @pytest.mark.parametrize("rings", [24, 40])
 def test_splines_of_colour_curves_integrate_smooth_spectra(rings):
-    """Colours by splines must equal sums over wavelengths, for a spectrum that oscillates every 90 nm."""
+    """Splines fitted to colour curves must give the colours of sums over λ; the spectrum oscillates every 90 nm."""
     products, nm = colorimetry.colour_products("D65"), np.arange(380.0, 781.0)
     for interval in (0, 17, 64):
         step = math.log(2.0) / rings
@@ -309,7 +309,7 @@ def test_deep_surfaces_have_grids(points):
 
 
 def test_series_with_more_terms_than_kernels_support_use_no_grid(points):
-    """A height range of 20 µm needs more series terms than kernels support. Sums over λ must replace the grid."""
+    """A height range of 20 µm needs more series terms than kernels support. Sums over λ must replace the polar grid."""
     deep = wd.HeightField.of_known_scale(10.0 * np.sin(np.arange(64.0) * np.pi / 32.0)[None], FIELD.pitch_um)
     with mock.patch.object(picture_model, "PolarGridSums", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -359,7 +359,7 @@ def test_pixels_in_the_mirror_direction(square, rng):
 
 
 def test_several_lights_pigment_and_materials_by_part(body, view, rng):
-    """Colours under several lights must add up. Changes of heights must not change light from the base colour."""
+    """Colours under several lights must add up. The light that the pigment reflects must not depend on heights."""
     pigmented = body.copy()
     material = PBRMaterial(baseColorFactor=[200, 120, 50, 255])
     pigmented.visual = TextureVisuals(uv=body.visual.uv, material=material)

@@ -1,4 +1,4 @@
-"""``wd.adjoint``: errors of truncated series and sums, derivatives for single pairs, and limiting cases."""
+"""``wd.adjoint``: errors of truncated series and sums, derivatives for one pair of directions, and limiting cases."""
 
 import complex_step
 import numpy as np
@@ -20,7 +20,7 @@ FILM = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.5), 1000.0)
 def exact_colours(surface, views, material, illuminant, **settings):
     """Return XYZ by Gauss quadrature between neighbouring wavelengths of the tables of material and illuminant.
 
-    There the integrand over λ is smooth.
+    The integrand is smooth between these wavelengths, because both tables are interpolated linearly.
     """
     grid, products = colorimetry.VISIBLE_NM, colorimetry.colour_products(illuminant)
     parts = [part for part in (material, getattr(material, "film", None)) if part is not None]

@@ -1,4 +1,4 @@
-"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors.
+"""Basis functions of κ in which Fourier coefficients are expanded, compared with exact coefficients, and their errors.
 
 κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H are the Fourier coefficients of
 exp(2πiκh) over one period of the heights h.
@@ -36,7 +36,7 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
 
 
 def basis_at(coefficients, kappas):
-    """Return the basis functions of a series at values of κ = w/λ, by the cubic interpolation that kernels use."""
+    """Return the basis functions of Fourier coefficients at values of κ = w/λ, by cubic interpolation as in kernels."""
     steps = (kappas - coefficients.kappa_low) / coefficients.step
     entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]
@@ -75,7 +75,7 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # The method "low-rank" fits a basis of powers |H|² to the powers divided by about κ² (``_SMALL_KAPPA`` in
+    # The method "low-rank" fits basis functions to the powers |H|² divided by about κ² (``_SMALL_KAPPA`` in
     # coefficient_basis.py). The power of the zeroth order is 1 at κ = 0, and the division makes it less accurate by up
     # to two digits. Absolute errors of these powers are therefore allowed to be larger.
     largest = np.abs(exact).max(axis=0)
@@ -143,7 +143,7 @@ def test_powers_of_flat_fields_and_of_fields_with_few_samples_are_accurate(shape
 def test_the_basis_does_not_depend_on_the_neighbourhood():
     """A plan holds numbers of a computation, such as the number of neighbouring Fourier coefficients per direction.
 
-    Plans that differ only in this number must share one fitted basis.
+    Plans that differ only in this number must share the same fitted basis functions of the Fourier coefficients.
     """
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
@@ -198,7 +198,7 @@ def test_the_transform_of_the_interpolation_kernel_equals_a_numerical_integral()
 
 @pytest.mark.parametrize("method", ["low-rank", "power"])
 def test_higher_orders_of_a_shallow_surface_are_accurate(method):
-    """The power of order n is proportional to κ²ⁿ and very small, but must have a small relative error."""
+    """The power of order n of a shallow surface is tiny, proportional to κ²ⁿ, but must have a small relative error."""
     x = np.arange(64) / 64.0
     heightfield = wd.HeightField(5e-3 * np.sin(2.0 * np.pi * x)[None, :], 0.05)
     coefficients, block = build(heightfield, method, (1.28, 2.63), adds_powers=True, terms=20)
@@ -214,7 +214,10 @@ def test_higher_orders_of_a_shallow_surface_are_accurate(method):
 @pytest.mark.parametrize("parts", [1, 2])
 @pytest.mark.parametrize("shape", [(3, 5), (20, 40)])
 def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_their_powers(shape, parts, rng):
-    """The powers must be computed at the middle of the range of |κ|. Fewer than 64 coefficients are all returned."""
+    """The 64 strongest Fourier coefficients must be selected by their powers at the middle of the range of |κ|.
+
+    Fewer than 64 coefficients are all returned.
+    """
     rows = rng.lognormal(size=(*shape, parts, 2)).astype(np.float32)
     basis = np.stack([np.ones(12), np.arange(-1.0, 11.0)], axis=1).astype(np.float32)
     coefficients = coefficient_basis.Coefficients(rows, basis, 0.0, 0.5, np.zeros(0))

@@ -1,4 +1,4 @@
-"""The direct sum equals an explicit average over window positions, and kernels equal the direct sum.
+"""The direct sum equals an explicit average over the positions of the coherence window; kernels equal the direct sum.
 
 (u, v, w) is the scattering vector. Its component w is along the normal.
 """
@@ -16,7 +16,7 @@ WAVELENGTHS_UM = np.array([0.39, 0.46, 0.53, 0.61, 0.7, 0.77])
 
 
 def windowed_sum(heightfield, sigma_um, scattering_vector, wavelength, centre):
-    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² for a Gaussian window g at ``centre``, (y, x) in µm.
+    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² for a Gaussian coherence window g at ``centre``, (y, x) in µm.
 
     The sum covers all samples of the repeated patch within 8σ of the centre.
     """
@@ -111,8 +111,9 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
     spectra it is 1e-8 of the largest value of all spectra, if this is larger.
     """
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
-    # The plan is made for the three directions with the largest |(u, v)|, the least |w| and the largest |w|. For so few
-    # directions it is an upper-bound plan, whose terms suffice for all directions of this test.
+    # The plan (numbers of wavelengths and terms) is made for the three directions with the largest |(u, v)|, the least
+    # |w| and the largest |w|. For so few directions it is an upper-bound plan, whose terms suffice for all directions
+    # of this test.
     uv, w = np.hypot(*(lights + views)[:, :2].T), (lights + views)[:, 2]
     ends = [uv.argmax(), w.argmin(), w.argmax()]
     options = {"coherence": coherence, "method": method}
@@ -127,7 +128,7 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return a large crop of the scan for coherence windows, and a small crop for the kinds "source" and "replicas".
+    """Return a large crop of the measured scan for coherence windows, and a small one for "source" and "replicas".
 
     The small crop saves time, because direct sums for these two kinds are slow.
     """
@@ -136,15 +137,16 @@ def scan_crops(scan):
 
 @pytest.fixture(scope="module")
 def fingers():
-    """Return a large patch of nano-fingers for coherence windows, and a small patch for the kinds "source" and
-    "replicas".
+    """Return a large and a small patch of synthetic snake skin (finger-like bumps).
+
+    The large one is for coherence windows, the small one for the kinds "source" and "replicas".
     """
     return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (8.0, 6.4))
 
 
 @pytest.fixture(scope="module")
 def row():
-    """Return a grating of one row, which is constant along y."""
+    """Return a grating with one row of height samples; it is constant along y."""
     return wd.gratings.blazed(2.5, 0.25)
 
 
@@ -205,7 +207,7 @@ COLOURED = {
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
 def test_colours_meet_the_tolerance(kind, rng):
-    """The 99th percentile of the errors in the tested directions must be within the tolerance of the call."""
+    """The 99th percentile of the colour errors in the tested directions must be within the tolerance of the call."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)
     lowest = 0.2 if kind == "source" else 0.05
@@ -217,9 +219,7 @@ def test_colours_meet_the_tolerance(kind, rng):
 
 
 def test_the_direct_method_does_not_use_the_series(monkeypatch):
-    """The reference must not share code with the methods that it validates, so it must work without the series
-    expansions.
-    """
+    """The direct sum must work without the series expansions, because it validates the methods that use them."""
     monkeypatch.setattr(fourier_coefficients, "series_coefficients", None)
     heightfield = wd.HeightField(np.zeros((4, 4)), 0.05)
     value = wd.spectral_reflectance(heightfield, (0, 0, 1), (0, 0, 1), 550.0, method="direct")

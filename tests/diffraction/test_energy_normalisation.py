@@ -36,8 +36,8 @@ def test_powers_of_all_bins_add_up_to_one(bin_um):
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
         assert powers.at(bins, kappa).sum() == pytest.approx(1.0, rel=1e-6)
-    # Bins have the requested width, rounded to a whole number of orders. The first and the last bin may have fewer
-    # orders, so that the distance between the centres of bins may be smaller.
+    # A bin sums the powers of neighbouring orders. It has the requested width, rounded to a whole number of orders. The
+    # first and the last bin may have fewer orders, so that the distance between the centres of bins may be smaller.
     for frequencies, length in zip(powers.frequencies.T, (1.3, 1.5), strict=True):
         widest = np.max(np.diff(np.unique(frequencies)))
         assert 0.8 < widest / (max(round(bin_um * length), 1) / length) < 1.0 + 1e-9
@@ -54,7 +54,10 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """Kernels apply the energy factors in pictures, and NumPy in ``reflectance``. Both must give the same colour."""
+    """Kernels apply the factors of the energy normalisation in pictures, and NumPy applies them in ``reflectance``.
+
+    Both must give the same colour.
+    """
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
@@ -182,12 +185,15 @@ def test_responses_of_a_balance_solve_its_linear_equations(rng):
 
 
 def test_grid_weights_are_bilinear_between_the_directions_of_the_grid(rng):
-    """Values at the directions of the grid must be reproduced, and the weights of any direction must add up to 1."""
+    """Bilinear interpolation on the grid of directions must reproduce the values at its directions.
+
+    The weights of any direction must add up to 1.
+    """
     directions = energy_normalisation._grid()
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
     nodes, weights = energy_normalisation.grid_weights(directions)
     values = rng.uniform(size=len(directions))
-    # All entries in the first row of the grid are the same direction, the normal.
+    # All entries in the first row of the grid of directions are the same direction, the normal.
     columns = np.count_nonzero(directions[:, 2] > 1.0 - 1e-12)
     values[:columns] = 0.5
     np.testing.assert_allclose(np.sum(weights * values[nodes], axis=1), values, atol=1e-6)
@@ -216,10 +222,11 @@ def test_factors_are_linear_between_wavelengths():
 
 
 def test_the_reported_spread_is_that_of_the_power_of_single_lights_and_wavelengths(rng):
-    """The spread must be the deviation of the reflected power from the incident power, as a root mean square.
+    """The reported spread of the energy normalisation must be the root-mean-square error of the reflected power.
 
-    The reflected power of a light at one wavelength is the sum over orders of the factors of both directions times the
-    efficiency by Stam's model, with the prescribed decrease towards the horizon.
+    The error is the difference from the incident power. The reflected power of a light at one wavelength is the sum
+    over orders of the factors of both directions times the efficiency by Stam's model, with the prescribed decrease
+    towards the horizon.
     """
     heightfield = SURFACES["blazed"]()
     factors = energy_normalisation.achromatic_factors(heightfield)

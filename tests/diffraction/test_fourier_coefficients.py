@@ -1,4 +1,4 @@
-"""Fourier coefficients of profiles with known transforms, in float64 and through the kernel."""
+"""Fourier coefficients of profiles with known transforms, in float64 and by the kernels."""
 
 import itertools
 import math

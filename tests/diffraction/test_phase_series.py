@@ -22,7 +22,7 @@ HEIGHTS_UM = [0.05, 0.3, 1.0, 2.5, 5.0]
 
 
 class Surface:
-    """Height field with nano-fingers of a certain height range, and its exact spectra in random directions."""
+    """Synthetic snake skin (finger-like bumps) of a given height range, and its exact spectra in random directions."""
 
     def __init__(self, height):
         flat = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3)

@@ -41,7 +41,7 @@ PROFILES = {
 
 
 def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa(rng):
-    """Coefficients that are interpolated over κ must equal Fourier transforms at each κ.
+    """Fourier coefficients that are interpolated over κ must equal Fourier transforms at each κ.
 
     If the interpolation had too few terms or covered only half of the range of κ, errors would be about 1.
     """
@@ -121,7 +121,7 @@ def test_orders_of_a_two_dimensional_patch_equal_explicit_sums(rng):
 def test_an_order_is_the_integral_of_the_brdf():
     """At the centre of an order, the BRDF must be the efficiency of the order divided by a solid angle.
 
-    The solid angle is λ²/(4πσ²), because a window with standard deviation σ spreads the order over it.
+    The solid angle is λ²/(4πσ²), because a coherence window with standard deviation σ spreads the order over it.
     """
     heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
     result = wd.order_efficiencies(heightfield, light, 550.0)
@@ -193,7 +193,8 @@ def test_an_axis_of_one_sample_has_only_the_zeroth_order():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()
-    # At a wavelength of 0.5 µm, with a period of 1.6 µm, only orders m with |m · 0.5/1.6 − sin 20°| < 1 propagate.
+    # The light is at 20° from the normal, the wavelength is 0.5 µm and the period 1.6 µm. Only orders m with |m ·
+    # 0.5/1.6 − sin 20°| < 1 propagate.
     assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 
@@ -216,7 +217,7 @@ def test_normalised_orders_of_a_mirror_reflect_all_light(angle, azimuth):
 
 
 def test_normalised_orders_are_reciprocal():
-    """Normalised efficiencies must be reciprocal. A division by the sum of the orders would violate reciprocity."""
+    """Normalised efficiencies must be reciprocal. A division by their sum over orders would violate reciprocity."""
     heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
     result = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
     over_sums = []

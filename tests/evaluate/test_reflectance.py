@@ -37,7 +37,7 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
     assert not colours[3].any()
     illuminated = np.arange(5) != 3
     assert relative_errors(colours[illuminated], exact[illuminated]).max() < 1e-3
-    # One of the five directions is below the horizon and is not computed, so progress has four steps.
+    # One of the five directions is below the horizon and is not computed, so that progress is reported in four steps.
     np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0])
 
 
@@ -57,8 +57,8 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
     options = {"coherence": SHORT, "method": "direct", "tolerance": 1e-4}
     wd.reflectance(line, at_angle(10.0), UP, **options)
     first = counts[0]
-    # After each halving of the step, only the midpoints between the previous wavelengths are computed. There is one
-    # midpoint less than there are wavelengths.
+    # After each halving of the wavelength step, only the midpoints between the previous wavelengths are computed. There
+    # is one midpoint less than there are wavelengths.
     totals = list(itertools.accumulate(counts))
     assert all(new == total - 1 for new, total in zip(counts[1:], totals, strict=False))
     monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first + 1)

@@ -185,8 +185,8 @@ def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
             worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
-    # The test projects the sky onto a plane. The error of this projection is of first order in spread · tan θi. At
-    # normal incidence it is of second order.
+    # The test projects the sky onto a plane. Its error is proportional to the spread of the source times tan θi, and at
+    # normal incidence to the square of the spread.
     slant = max(math.tan(math.radians(theta)), 0.1)
     assert errors[0] <= 30.0 * slant * Coherence("source", angular_diameter_deg=0.02).spread
     assert errors[1] <= 0.15 * errors[0]
@@ -215,14 +215,16 @@ def test_a_source_needs_its_direction(small):
     ids=lambda coherence: coherence.kind,
 )  # fmt: skip
 def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
-    """For a flat patch, the integral of ⟨|P|²⟩ over (u, v) must be the solid angle Ω, or Ω cos θi for a source.
+    """For a flat patch, the integral of the mean power ⟨|P|²⟩ over (u, v) must be the solid angle Ω of the coherence.
 
-    With the factor ``brdf_scale``, the integral of the BRDF of a perfect mirror must be 1.
+    For a light source of finite size, it must be Ω cos θi. With the factor ``brdf_scale``, the integral of the BRDF of
+    a perfect mirror must be 1. (u, v) are the tangential components of the scattering vector.
     """
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # For a few periods (kind "replicas"), the lobe is wide. The integral therefore covers one whole period of the power
-    # spectrum along u and v. The power spectrum is periodic because the surface is sampled.
+    # For a few periods (kind "replicas"), the maximum of the diffracted power is wide. The integral therefore covers
+    # one whole period of the power spectrum along u and v. The power spectrum is periodic because the surface is
+    # sampled.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)
@@ -233,9 +235,9 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     solid_angle = reflectance_factors.light_solid_angle(np.array([wavelength]), coherence, area)[0]
     projected = to_light[2] if coherence.kind == "source" else 1.0
     assert gathered == pytest.approx(solid_angle * projected, rel=1e-6)
-    # ``scale * gathered`` is the integral of the BRDF without a geometry factor, by which ⟨|P|²⟩ is multiplied to give
-    # ρ. For windows and periods the factor is C, and this integral is 1/cos θi. For a source the factor is C/cos θi,
-    # and this integral is 1.
+    # ``scale * gathered`` is the integral of the BRDF of a mirror without its geometry factor. For windows and periods
+    # the geometry factor is C, and this integral is 1/cos θi. For a source the geometry factor is C/cos θi, and this
+    # integral is 1.
     scale = reflectance_factors.brdf_scale(to_light[None, 2], np.array([wavelength]), coherence, area)[0, 0]
     assert scale * gathered == pytest.approx(projected / to_light[2], rel=1e-6)
     pigment = reflectance_factors.pigment_solid_angle(np.array([wavelength]), coherence, area)[0]

@@ -1,4 +1,4 @@
-"""Colorimetry: white point, quadratures, matrices and the transfer function."""
+"""Colorimetry: white point, weights of sampled wavelengths (quadratures), colour matrices and transfer function."""
 
 import itertools
 import subprocess
@@ -67,7 +67,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
 def test_uniform_quadratures_give_white_its_exact_colour(colour, geometric, illuminant, count):
-    """With equal steps in 1/λ, or in ln λ, a quadrature must give white the same colour as the sum over 1 nm steps."""
+    """Sums with equal steps in 1/λ or in ln λ must give a perfect mirror the same colour as a sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
     steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)

@@ -1,4 +1,4 @@
-"""Materials: Fresnel's equations and thin films compared with characteristic matrices, files, and flat surfaces."""
+"""Materials: Fresnel's equations, thin films (compared with characteristic matrices), files and flat surfaces."""
 
 import dataclasses
 import math
@@ -146,7 +146,7 @@ def test_files_without_a_material_are_refused(text, tmp_path):
 
 
 def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
-    """Each invalid row of a YAML table must be refused with its line.
+    """Each invalid row of a YAML table of refractive indices must be refused with its line.
 
     Each tested row has one fault: a stray letter, a missing or extra number, or a decimal comma.
     """
@@ -155,7 +155,7 @@ def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
         file.write_text(SITE_YAML.replace("        0.8 2.2", f"        {row}\n        0.8 2.2"))
         with pytest.raises(ValueError, match=re.escape(f"line 9 must have 3 numbers (wavelength, n, k), got {row!r}")):
             wd.Material.from_file(file)
-    # Comments, blank lines and the sections that follow a table are no rows.
+    # Comments, blank lines and the sections that follow a table are no rows of the table.
     file.write_text(
         SITE_YAML.replace("        0.8", "\n        # by hand\n        0.8") + "SPECS:\n    n_is_absolute: true\n"
     )

@@ -36,7 +36,7 @@ def test_a_surface_without_an_index_and_a_material_is_glass_of_index_1_5():
 def test_a_flat_mirror_shows_the_radiance_of_a_source(masking, normal):
     """In the mirror direction, the gain must be R(θ)/R(0) · cos θ, and R(θ)/R(0) for a source of finite size.
 
-    A flat surface masks no light.
+    The gain is the factor between diffracted power and relative reflectance. A flat surface masks no light.
     """
     lights, views = at_angle(ANGLES), at_angle(-ANGLES)
     ratio = schlick(np.cos(np.radians(ANGLES)), normal) / normal
@@ -48,7 +48,10 @@ def test_a_flat_mirror_shows_the_radiance_of_a_source(masking, normal):
 
 
 def test_gains_follow_equation_3_15_and_the_masking_of_cook_and_torrance(rng):
-    """Gains must equal equation 3.15 of Single (2014), times the masking of Cook and Torrance if it is enabled."""
+    """Gains, the factors from diffracted power to reflectance, must equal equation 3.15 of Single (2014).
+
+    If masking is enabled, they must also have the masking factor of Cook and Torrance.
+    """
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     half = (lights + views) / np.linalg.norm(lights + views, axis=1, keepdims=True)
     cos_i, cos_r, cos_h = lights[:, 2], views[:, 2], half[:, 2]

@@ -73,7 +73,7 @@ def test_a_constant_spectrum_equals_illuminant_e_in_calls_and_pictures():
 
 
 def lines(*peaks, half_width=0.08):
-    """Return a spectrum with a narrow triangle at each of some wavelengths [nm], each triangle with its power."""
+    """Return a spectrum of narrow triangular lines; each of ``peaks`` is a wavelength [nm] and the power of a line."""
     knots, values = [300.0], [0.0]
     for nm, power in peaks:
         knots += [nm - half_width, nm, nm + half_width]

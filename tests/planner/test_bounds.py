@@ -89,7 +89,7 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """The errors of reflectance maps must be within the tolerance under illuminants with narrow spectral lines.
 
-    In most directions of a map, a diffraction order has a wavelength between two lines.
+    In most directions of a map, the wavelength of a diffraction order is between two lines of the illuminant.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
@@ -154,7 +154,8 @@ def test_bounds_of_a_grazing_source_limit_the_order_rate_to_what_the_most_wavele
     plan = upper_bound(fingers, grazing, coherence=source)
     assert plan.wavelengths == 16_384
     assert 1.9 < plan.max_order_rate < 1e4
-    # ``wavelength_count`` adds 1 to the number of intervals, so its result exceeds the limit of 16,384 by 1.
+    # ``wavelength_count`` adds 1 to the number of intervals between wavelengths, so its result exceeds the limit of
+    # 16,384 by 1.
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 

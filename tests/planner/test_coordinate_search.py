@@ -18,7 +18,8 @@ import warpdiff as wd
 from warpdiff.planner import coordinate_search, cost_model
 from warpdiff.planner.coordinate_search import Coordinate
 
-# Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
+# Tolerance of the call, and largest error of a plan that the search accepts: the tolerance divided by the safety factor
+# 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 # Ratio of successive bandwidths (wavelengths per unit of 1/λ) that a search tries, 4 steps per factor of 2; and number
 # of terms of a series per SIMD register.
@@ -29,14 +30,15 @@ STEP, REGISTER = 2.0 ** (1 / 4), 8
 def start(fingers):
     """Return a plan (numbers of a computation) from which searches start.
 
-    It has 32 terms of the series, and more neighbouring Fourier coefficients and wavelengths than are required.
+    It has 32 terms of the series of a Fourier coefficient, and more neighbouring Fourier coefficients and wavelengths
+    than are required.
     """
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
 
 
 class ClosedForm:
-    """Stand-in for a trial of plans, which measures the error of a plan.
+    """Stand-in for a trial of plans, which measures the error of a plan (numbers of a computation).
 
     The error is a sum of three errors: by the numbers of terms, of neighbouring coefficients and of wavelengths.
     """
@@ -52,7 +54,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Return the three errors that the number of terms, the neighbourhood and the bandwidth cause."""
+        """Return the three errors that a plan's numbers of terms, of neighbours and of wavelengths cause."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])
@@ -79,7 +81,7 @@ def cost(trial, plan):
 
 
 def exhaustive(trial, start, target):
-    """Return the least cost of all plans whose error is at most ``target``.
+    """Return the least cost of all plans (numbers of a computation) whose error is at most ``target``.
 
     The plans are all combinations of several numbers of terms, neighbours and wavelengths (bandwidths).
     """
@@ -146,7 +148,7 @@ def test_steps_beyond_the_fewest_wavelengths_are_withdrawn(fingers, start):
 
 
 class Steps:
-    """Stand-in for a trial of plans, which measures the error of a plan.
+    """Stand-in for a trial of plans, which measures the error of a plan (numbers of a computation).
 
     The error is a function, chosen by the test, of the numbers of added terms and wavelengths.
     """
@@ -177,7 +179,7 @@ class Steps:
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
 def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
-    """A plan that misses the target must be refined by the cheapest sufficient step, or else by the most accurate.
+    """A plan with too large an error must be refined by the cheapest sufficient step, or else the most accurate one.
 
     The plan has 9 terms and 100 wavelengths. One of the two possible steps adds a term, the other one a wavelength. The
     step that adds a term is cheaper.
@@ -242,7 +244,10 @@ def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes
 
 @pytest.mark.parametrize("octaves", [0.0, 0.7, 2.5])
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
-    """The bandwidth must be doubled until the error, proportional to bandwidth⁻⁶, is at most half of the target."""
+    """The bandwidth must be doubled until the error, proportional to bandwidth⁻⁶, is at most half of the target.
+
+    The bandwidth is the number of wavelength samples per unit of 1/λ.
+    """
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
         TARGET / 2.0 * (2.0**octaves * start.bandwidth_um[0] / plan.bandwidth_um[0]) ** 6
@@ -262,8 +267,9 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
 def test_a_bandwidth_is_doubled_until_the_fastest_orders_are_resolved(fingers, start):
     """The search must double the bandwidth even if the error does not decrease at first.
 
-    The error can stay the same until a plan has enough wavelengths for the direction with the largest order rate (how
-    fast diffraction orders pass the direction as 1/λ changes).
+    The bandwidth is the number of wavelength samples per unit of 1/λ. The error can stay the same until a plan has
+    enough wavelengths for the direction with the largest order rate (how fast diffraction orders pass the direction as
+    1/λ changes).
     """
     trial = ClosedForm(fingers, start)
     rate = 6.0 * start.max_order_rate
@@ -279,9 +285,10 @@ def test_a_bandwidth_is_doubled_until_the_fastest_orders_are_resolved(fingers, s
 def test_a_smaller_bandwidth_allows_larger_order_rates_or_fewer_wavelengths(fingers):
     """With half of the bandwidth, a plan must cover larger order rates, or have fewer wavelengths.
 
-    The order rate of a direction is how fast diffraction orders pass it as 1/λ changes. The original plan has only the
-    wavelengths that its bandwidth requires. If the call has larger order rates than the plan covers, the range of order
-    rates must grow. Otherwise the number of wavelengths must decrease.
+    The bandwidth is the number of wavelengths per unit of 1/λ. The order rate of a direction is how fast diffraction
+    orders pass it as 1/λ changes. The original plan has only the wavelengths that its bandwidth requires. If the call
+    has larger order rates than the plan covers, the range of order rates must grow. Otherwise the number of wavelengths
+    must decrease.
     """
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")

@@ -40,9 +40,9 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # Neighbours have at least the weight ``least_weight``. They lie within an ellipse of frequencies. The axes of the
-    # ellipse are proportional to the square root of −ln(least_weight), and so are the numbers of neighbours along each
-    # axis.
+    # Neighbours are Fourier coefficients with at least the weight ``least_weight``. They lie within an ellipse of
+    # frequencies. The axes of the ellipse are proportional to the square root of −ln(least_weight), and so are the
+    # numbers of neighbours along each axis.
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -63,10 +63,10 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_spectrum_cost_in_proportion_to_their_terms_and_neighbours(fingers):
-    """A sample of the spectrum must cost in proportion to its numbers of terms and of neighbouring coefficients.
+    """A sample of the power spectrum for a table must cost in proportion to its terms and neighbouring coefficients.
 
-    Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``. Their number is
-    the area of this circle times the area of the patch.
+    Neighbours lie in the circle of frequencies q in which their weight exp(−4π²σ²q²) is at least ``least_weight``.
+    Their number is the area of this circle times the area of the patch.
     """
     plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
     costs = [
@@ -90,13 +90,13 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     assert increases.min() > 0.0
     np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
     np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
-    # The number of spectral lines in a table is twice the number of Fourier coefficients whose frequency is at most
-    # ``highest``.
+    # A colour table of a light source adds spectral lines to its entries. The number of lines is twice the number of
+    # Fourier coefficients whose frequency is at most ``highest``.
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # When a table is made, each spectral line costs 150 multiply-adds. It is added to 42 table entries, each with one
-    # multiply-add per term.
+    # When a colour table is made, each spectral line costs 150 multiply-adds. It is added to 42 table entries, each
+    # with one multiply-add per term.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 
@@ -138,7 +138,7 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 
 
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
-    """A look-up adds nine rows of the table; per basis function of w, a row must cost one unit per colour channel.
+    """A look-up in a colour table adds nine rows. A row must cost one unit per basis function of w and colour channel.
 
     w is the normal component of the scattering vector. The table stores colours as sums of basis functions of w.
 

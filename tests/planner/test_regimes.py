@@ -250,10 +250,10 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, windows centred between samples must be accurate, or warn, or be refused.
+    """Close to the Nyquist limit, calls with a window between height samples must be accurate, or warn, or be refused.
 
-    There a direction requires Fourier coefficients beyond the limit, which are copies of coefficients below it. For a
-    coherence window centred between height samples, the copies have wrong phases.
+    Close to the limit, a direction requires Fourier coefficients beyond the limit, which are copies of coefficients
+    below it. For a coherence window centred between height samples, the copies have wrong phases.
     """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
@@ -301,7 +301,7 @@ def test_replicated_periods_near_resonance_are_accurate(periods, away):
 def test_the_published_form_of_replicated_periods_fails_in_float32():
     """The published sum over periods must fail in float32: this is the reason why the library uses another form.
 
-    At a phase of 1e-3 its error is 5 %, and at 1e-4 it is not finite.
+    At a phase of 1e-3 radians per period its error must exceed 2 %; at 1e-4 radians it is not finite.
     """
     for periods in (10, 100, 1000):
         exact, single = (

@@ -18,7 +18,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# Table size that the search tries first at ``TOLERANCE``: number of rings per factor of two in |(u, v)|.
+# Size of the colour table that the search tries first at ``TOLERANCE``: number of rings per factor of two in |(u, v)|.
 FIRST = 48
 
 
@@ -30,7 +30,7 @@ def plan(fingers):
 
 
 class Tables:
-    """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
+    """Stand-in for a trial of colour tables. The error is a closed form, by default of second order in ring spacing.
 
     Tables with at least ``sufficient`` rings per octave meet the target. For plans without a table, the function
     ``sampled`` returns the error as a function of the number of basis terms, by which a plan expands Fourier
@@ -74,7 +74,7 @@ def cost(trial, rings):
 
 @pytest.mark.parametrize(("sufficient", "count"), [(16, 1), (32, 1), (48, 1), (64, 2), (96, 2), (128, 3)])
 def test_the_smallest_sufficient_table_is_found_in_few_steps(fingers, plan, sufficient, count):
-    """The smallest sufficient table must be found in few steps.
+    """The search must find the smallest colour table that meets the target error, in few steps.
 
     Each tried table has at most twice the rings of the previous one, and no table smaller than the first one is tried.
     """
@@ -117,7 +117,7 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     assert trial.smallest(affordable=0.99 * least) is None
     assert not trial.tried
     assert trial.smallest(affordable=0.99 * more) is None
-    # A call that needs a table must get the largest table whose cost is at most ``affordable``.
+    # A call that needs a colour table must get the largest one whose cost is at most ``affordable``.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 32
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
     assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
@@ -166,12 +166,12 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 
 
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
-    """The table must have the smallest number of basis terms whose expected error is at most half of the target.
+    """The colour table must have the smallest number of basis terms whose expected error is at most half of the target.
 
     The terms are those of the functions that expand Fourier coefficients.
 
-    With 8 terms, the measured error equals the target. The residuals of the fit of the basis predict that 10 terms
-    reduce this error by a factor of 3.2.
+    With 8 terms, the measured error equals the target. The residuals of the fit of the basis functions predict that 10
+    terms reduce this error by a factor of 3.2.
     """
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
@@ -184,7 +184,7 @@ def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """If the first table fails because it has too few basis terms, the next table must have more terms.
+    """If the first colour table fails because it has too few basis terms, the next table must have more terms.
 
     The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried. If the
     error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the first

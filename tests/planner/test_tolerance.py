@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture(scope="module")
 def scan_or_none() -> wd.HeightField | None:
-    """Return the measured scan, or None if the file is missing, so that tests use synthetic nano-fingers instead."""
+    """Return the measured scan of a snake skin, or None if its file is missing; tests then use a synthetic skin."""
     return inputs.levelled_scan()
 
 
@@ -143,7 +143,7 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
     """A call must get more than the smallest set of wavelengths if its error is too large.
 
-    For this call, the error with the smallest set is three times the tolerance.
+    For the tested call, the error with the smallest set is three times the tolerance.
     """
     plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
     assert 16 < plan.wavelengths < 32

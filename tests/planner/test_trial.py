@@ -133,9 +133,10 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
 
 
 def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
-    """The result must be the largest percentile of errors, over illuminants and over bright and dim directions.
+    """``worst_percentile`` must return the largest percentile of errors over illuminants and groups of directions.
 
-    The percentile of a group of directions is the error that 0.5 % of the weight of this group exceeds.
+    The groups are the bright and the dim directions. The percentile of a group is the error that 0.5 % of the weight of
+    this group exceeds.
     """
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])

@@ -28,9 +28,8 @@ def test_the_training_and_the_validation_set_each_represent_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # Of 2.25 drawn directions, one is drawn uniformly, one by brightness, and 0.25 from the edge cases alone. A
-        # fifth of all candidates are edge cases. The share of edge cases among the first two kinds is therefore a
-        # fifth, too.
+        # Directions are drawn uniformly, by brightness, or as edge cases, in the ratio 1 : 1 : 0.25. A fifth of all
+        # candidates are edge cases. The share of edge cases among the first two kinds is therefore a fifth, too.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 

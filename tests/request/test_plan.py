@@ -86,8 +86,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # After a search, errors are measured. They are not compared, because the plan for the larger tolerance may by
-        # chance have the smaller error.
+        # If a search selects a plan, the errors of the plan are measured. They are not compared, because the plan for
+        # the larger tolerance may by chance have the smaller error.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -276,7 +276,7 @@ def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """A field of one row must have no orders outside of the plane y = 0 and no aliasing, whatever its pitch along y."""
+    """A height field of one row must have no orders outside the plane y = 0 and no aliasing, at any pitch along y."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
@@ -327,7 +327,7 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """A pixel of a map with ``samples_per_pixel`` must be the mean over a grid of directions.
+    """A pixel of a reflectance map with ``samples_per_pixel`` must be the mean over a grid of directions.
 
     Its coverage must be the share of these directions within the unit disc.
     """

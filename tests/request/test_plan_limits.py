@@ -32,8 +32,8 @@ def deep(height_um: float) -> wd.HeightField:
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # The second case has no directions, so that the plan is for the whole hemisphere. It requires a search, which is
-    # slow because it compiles a kernel for each number of terms.
+    # The second tested call has no directions, so that the plan is for the whole hemisphere. It requires a search,
+    # which is slow because it compiles a kernel for each number of terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
@@ -50,15 +50,15 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
                 result = call(heightfield, *given, method=method, strict=False)
         assert np.all(np.isfinite(result))
         assert result.min() >= 0.0
-    # The direct sum uses no series, so any height range can be computed.
+    # The direct sum uses no series of exp(2πiκh), so any height range can be computed.
     assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
 
 
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
     """A height range of 6.9 µm must be refused, because even the largest number of terms gives too large errors.
 
-    Amplitudes then have an error of 3e-3, relative to the amplitude of a flat surface. Relative to the amplitudes of
-    weak orders it is 1000 times as large. A height range of 6.2 µm must be accepted.
+    Amplitudes of Fourier coefficients then have an error of 3e-3, relative to a flat surface. Relative to weak orders
+    the error is 1000 times as large. A height range of 6.2 µm must be accepted.
     """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)

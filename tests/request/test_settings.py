@@ -1,4 +1,4 @@
-"""Settings: each field is an option in all front ends; misspelt names and invalid values raise one clear error."""
+"""Settings: each field is an option of all front ends; misspelt options and invalid values raise one clear error."""
 
 import inspect
 import json

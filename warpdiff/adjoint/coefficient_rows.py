@@ -46,7 +46,7 @@ class CoefficientRows:
     """
 
     def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:
-        """Set the size of the series; ``fill`` computes the series.
+        """Set the size of the Chebyshev series; ``fill`` computes them.
 
         Args:
             count: Number of sites p. Each site has two series: that of its frequency and that of the opposite one.
@@ -66,7 +66,7 @@ class CoefficientRows:
         return chebyshev.nodes(*self.kappas, self.terms)
 
     def fill(self, amplitudes: Amplitudes) -> None:
-        """Compute the series from the Fourier coefficients at the nodes of |κ|."""
+        """Compute the Chebyshev series from the Fourier coefficients at the nodes of |κ|."""
         self.rows = self.empty()
         for part in self._parts():
             plus, minus = amplitudes.at(part)
@@ -76,7 +76,7 @@ class CoefficientRows:
                 self._put(self.rows, part, [plus, np.conj(minus)])
 
     def tangent(self, amplitudes: Amplitudes, change: Amplitudes) -> Rows:
-        """Return the change of the series, to first order, if the Fourier coefficients change by ``change``."""
+        """Return the first-order change of the Chebyshev series if the Fourier coefficients change by ``change``."""
         result = self.empty()
         for part in self._parts():
             plus, minus = change.at(part)
@@ -143,7 +143,7 @@ class CoefficientRows:
 
 
 def sum_of(rows: Rows, place: slice) -> NDArray[np.float64] | Complex:
-    """Return the series with the indices ``place``, real for powers, or complex for amplitudes.
+    """Return the Chebyshev series with the indices ``place``, real for powers, or complex for amplitudes.
 
     ``rows`` has one array for powers. For amplitudes it has two: the real and the imaginary parts, which are combined.
     """

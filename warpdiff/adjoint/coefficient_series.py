@@ -43,7 +43,7 @@ class SeriesSize:
 
     @classmethod
     def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
-        """Return the numbers of terms with which the neglected terms have at most the relative size ``truncation``."""
+        """Return the size of the series whose neglected terms have at most the relative size ``truncation``."""
         low, high = kappa_range(*kappas, relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
         # The number of terms in κ grows with the largest phase. An amplitude H is a sum of phases of heights from the
@@ -72,25 +72,26 @@ class CoefficientSeries:
         self._size_um = relief.size_um
 
     def lobes(self, exponent: float) -> GaussianLobes:
-        """Return the object that sums powers with Gaussian weights; weights below e^−exponent are neglected."""
+        """Return the object that sums powers of Fourier coefficients with Gaussian weights above e^−exponent."""
         return GaussianLobes(self.rows, self.block, self.sites.places, self._size_um, exponent)
 
     @single_threaded_blas()
     def powers(self) -> NDArray[np.float64]:
-        """Compute and return the Chebyshev series of the powers of p sites and their opposites, shape (2 p, k)."""
+        """Compute and return Chebyshev series of the powers at p frequencies and their opposites, shape (2 p, k)."""
         self.rows.fill(self.terms)
         return self.rows.rows[0]
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the series of the powers, to first order, for a change of the heights or vertices."""
+        """Return the first-order change of the series of the powers |H|² for a change of the heights or vertices."""
         return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
 
     @single_threaded_blas()
     def adjoint(self, of_block: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
 
-        ``of_block`` has the adjoints of the series of the powers, one row per order of the block, shape (size, k).
+        ``of_block`` has the adjoints of the Chebyshev series of the powers |H|², one row per order of the block, shape
+        (size, k).
         """
         rows: Rows = self.rows.empty(zero=True)
         add_rows(self.sites.places, of_block, rows[0], are_distinct=self.sites.are_distinct)

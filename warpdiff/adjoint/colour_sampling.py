@@ -63,7 +63,7 @@ def sampling(
     lights: NDArray[np.float64], views: NDArray[np.float64], scale_um: float, size_um: tuple[float, float],
     coherence: Coherence, material: Material | None, illuminant: str | Spectrum, truncation: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
-    """Return the wavelengths [nm] of a colour, shape (m,), and the weights that sum their ρ to XYZ, shape (m, 3).
+    """Return the wavelengths [nm] of a colour, shape (m,), and the weights that sum reflectances to XYZ, (m, 3).
 
     The wavelengths are equally spaced in 1/λ, or in ln λ if the coherence is that of a light source of finite size.
 
@@ -116,7 +116,7 @@ def count_of_material(
 def _count_of_surface(
     half: NDArray[np.float64], scale_um: float, size_um: tuple[float, float], coherence: Coherence, truncation: float
 ) -> int:
-    """Return the number of wavelengths that the change of ρ with the wavelength requires.
+    """Return the number of wavelengths that the change of the reflectance ρ with the wavelength requires.
 
     The index of refraction is assumed to be constant. ``half`` has the sums of the unit vectors to light and viewer,
     shape (n, 3).
@@ -140,7 +140,8 @@ def _count_of_surface(
 def _exact_colours(cosines: NDArray[np.float64], material: Material, illuminant: str | Spectrum) -> NDArray[np.float64]:
     """Return XYZ of a flat material at n values of cos θd, shape (n, 3).
 
-    The integral over the wavelength is a Gauss quadrature between neighbouring kinks of the integrand.
+    θd is half of the angle between light and view. The integral over the wavelength is a Gauss quadrature between
+    neighbouring kinks of the integrand.
     """
     grid, products = colorimetry.VISIBLE_NM, colorimetry.colour_products(illuminant)
     entries = [np.asarray(part.wavelengths_nm) for part in (material, material.film) if part is not None]
@@ -159,6 +160,6 @@ def _exact_colours(cosines: NDArray[np.float64], material: Material, illuminant:
 def _reflectances(
     cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the reflectance of a material at n values of cos θd and m wavelengths [nm], shape (n, m)."""
+    """Return the reflectance of a material at n cosines of the angle of incidence and m wavelengths [nm], (n, m)."""
     angles, wavelengths = np.meshgrid(cosines, wavelengths_nm, indexing="ij")
     return reflection.fresnel(angles, material, wavelengths).value

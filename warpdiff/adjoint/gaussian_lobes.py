@@ -29,29 +29,30 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_rows import CoefficientRows
 
-# Weights below e^−x are neglected. This number is added to the x that the truncation error requires, so that
-# derivatives also meet this error. It was derived from the second derivatives of a lobe at its edge, which are larger
-# than the lobe itself by a factor of about x².
+# Fourier coefficients with Gaussian weights (lobes) below e^−x are neglected. This number is added to the x that the
+# truncation error requires, so that derivatives also meet this error. It was derived from the second derivatives of a
+# lobe at its edge, which are larger than the lobe itself by a factor of about x².
 _FURTHER = 5.0
-# Number of cells (orders) for which a thread sums adjoints in one launch of the kernel. Smaller numbers would waste
-# time: a launch takes as long as the sums of hundreds of cells, because most cells are near few pairs only.
+# Number of cells (orders) for which a thread sums adjoints (derivatives of a loss) in one launch of the kernel. Smaller
+# numbers would waste time: a launch takes as long as the sums of hundreds of cells, because most cells are near few
+# pairs (a direction and a wavelength) only.
 _CELLS_OF_SLICE = 16_384
-# Largest distance of a lobe's centre from the middle of its cell, along an axis [cells]: one half, and a margin for
-# rounding errors.
+# Largest distance of the centre of a lobe (Gaussian weight) from the middle of its cell (the place of one order), along
+# an axis [cells]: one half, and a margin for rounding errors.
 _HALF_CELL = 0.5 + 1e-9
-# Index of the column with the derivative of a sum with respect to the argument of the Chebyshev polynomials. The method
-# `GaussianLobes.derivatives` converts this derivative to that with respect to |κ|.
+# Index of the column, in the result of `derivatives`, with the derivative of a sum with respect to the argument of the
+# Chebyshev polynomials. The method `GaussianLobes.derivatives` converts it to the derivative with respect to |κ|.
 X = 5
 
 
 def exponent_of(truncation: float) -> float:
-    """Return the number x for which coefficients with weights below e^−x are negligible at a truncation error."""
+    """Return the x for which Fourier coefficients with weights below e^−x are negligible at a truncation error."""
     return -math.log(truncation) + _FURTHER
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of a direction and a wavelength.
+    """Pairs of a direction and a wavelength, for sums of Fourier coefficients with Gaussian weights.
 
     Attributes:
         centres: Frequencies q = (u, v)/λ at which the Gaussian weights have their maxima [1/µm], shape (p, 2).
@@ -67,17 +68,17 @@ class Pairs:
         return len(self.kappas)
 
     def reaches(self, exponent: float) -> NDArray[np.float64]:
-        """Return the distances (x, y) from the centres within which weights exceed e^−exponent [1/µm], shape (p, 2)."""
+        """Return the distances (x, y) from each centre within which weights exceed e^−exponent [1/µm], shape (p, 2)."""
         xx, xy, yy = self.forms.T
         scale = exponent / (xx * yy - xy * xy)
         return np.asarray(np.sqrt(np.stack([scale * yy, scale * xx], axis=1)))
 
 
 def block_of(pairs: Pairs, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-    """Return the smallest rectangle of orders that contains all coefficients of the sums of some pairs.
+    """Return the smallest rectangle of orders with all Fourier coefficients that the sums of the pairs require.
 
-    Coefficients with weights below e^−exponent are neglected. Along an axis with a single height sample, the surface is
-    constant, and the rectangle has only order 0.
+    A pair is a direction and a wavelength. Coefficients with weights below e^−exponent are neglected. Along an axis
+    with a single height sample, the surface is constant, and the rectangle has only order 0.
     """
     first, counts = [], []
     for axis, samples, length in ((1, shape[0], size_um[0]), (0, shape[1], size_um[1])):
@@ -96,7 +97,7 @@ class GaussianLobes:
         self, rows: CoefficientRows, block: Block, places: NDArray[np.int32], size_um: tuple[float, float],
         exponent: float,
     ) -> None:  # fmt: skip
-        """Set the coefficients and orders of the sums.
+        """Set the Fourier coefficients and the orders of the sums.
 
         Args:
             rows: Chebyshev series of the Fourier coefficients.
@@ -116,28 +117,28 @@ class GaussianLobes:
 
     @property
     def series(self) -> CoefficientRows:
-        """Chebyshev series of the coefficients."""
+        """Chebyshev series in |κ| of the Fourier coefficients."""
         return self._rows
 
     def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
-        """Return the struct that passes coefficients to the kernels; it shares the memory of ``coefficients``.
+        """Return the struct that passes Fourier coefficients to the kernels; it shares the memory of ``coefficients``.
 
-        Each row of ``coefficients`` is the series of one coefficient.
+        Each row of ``coefficients`` is the Chebyshev series of one Fourier coefficient.
         """
         self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
         return self._table
 
     def sums(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of each of p pairs (a direction and a wavelength), shape (p,).
+        """Return the weighted sum of coefficients for each of p pairs (a direction and a wavelength), shape (p,).
 
-        Each row of ``coefficients`` is the series of one coefficient.
+        Each row of ``coefficients`` is the Chebyshev series of one Fourier coefficient.
         """
         result = np.empty(len(pairs))
         self._launch(lobe_sums.sum_lobes, len(pairs), coefficients, self._of(pairs), result)
         return result
 
     def derivatives(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums of p pairs and their derivatives, shape (p, 11).
+        """Return the weighted sums of p pairs (a direction and a wavelength) and their derivatives, shape (p, 11).
 
         The comment of ``lobe_sums.DERIVATIVES`` lists the columns. Column ``X`` is the derivative with respect to |κ|.
         """
@@ -147,7 +148,7 @@ class GaussianLobes:
         return result
 
     def spread(self, pairs: Pairs, adjoints: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the coefficients of a block to ``rows``, shape (size, k): the transpose of ``sums``.
+        """Add the adjoints of a block's coefficients to ``rows``, shape (size, k): the transpose of ``sums``.
 
         ``adjoints`` has the derivatives of a loss with respect to the sums of the p pairs, shape (p,). ``rows`` has a
         row of k terms for each order of the block.
@@ -169,7 +170,7 @@ class GaussianLobes:
         self._launch(lobe_sums.spread_pairs, self._block.size, self._rows.rows[0], arrays, rows)
 
     def _of(self, pairs: Pairs) -> lobe_sums.LobePairs:
-        """Return the arrays of the pairs for kernels, without copies: kernels use the memory of the NumPy arrays."""
+        """Return the pairs (a direction and a wavelength) as the struct of the kernels, without copies of arrays."""
         result = lobe_sums.LobePairs()
         result.centres = wp.array(np.ascontiguousarray(pairs.centres), dtype=wp.vec2d, device="cpu", copy=False)
         result.forms = wp.array(np.ascontiguousarray(pairs.forms), dtype=wp.vec3d, device="cpu", copy=False)

@@ -65,8 +65,8 @@ class HeightTerms:
         self._g, self._sites = (heights_um - offset) / self._scale, sites
         basis = 2.0 * bessel_j(-2.0 * math.pi * self._scale * kappas, count)
         basis[:, 0] /= 2.0
-        # The factor iⁿ is ±1 for even n and ±i for odd n. The sign is included in the factors b_n here. The factor i of
-        # odd terms is included when the terms are summed.
+        # The terms of the series have the factor iⁿ: ±1 for even n and ±i for odd n. The sign is included in the
+        # factors b_n here. The factor i of odd terms is included when the terms are summed.
         signs = np.where(np.arange(count) // 2 % 2 == 0, 1.0, -1.0)
         self._even, self._odd = (np.ascontiguousarray((signs * basis)[:, first::2]) for first in (0, 1))
         self.terms = np.empty((count, sites.count), dtype=np.complex128)
@@ -88,9 +88,10 @@ class HeightTerms:
         return HeightTangent(self, terms)
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights [1/µm], shape (ny, nx).
+        """Return the adjoint of the heights (the derivative of a loss with respect to them) [1/µm], shape (ny, nx).
 
-        ``parts`` has slices of the sites, each with the adjoints of the two results of ``at`` for this slice.
+        ``parts`` has slices of the sites (frequencies), each with the adjoints of the two results of ``at`` for this
+        slice.
         """
         terms = np.empty_like(self.terms)
         for part, plus, minus in parts:

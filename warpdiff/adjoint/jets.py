@@ -33,7 +33,7 @@ class Jet:
 
     @classmethod
     def variables(cls, *values: NDArray[np.float64]) -> list[Jet]:
-        """Return one jet per variable; its derivative is 1 by this variable, and 0 by the others.
+        """Return one jet per variable, with the derivative 1 with respect to this variable, and 0 for the others.
 
         All values have one shape.
         """

@@ -1,4 +1,4 @@
-"""``LastCall``: a linearised function of arrays, whose last result is stored, for adapters to other packages.
+"""``LastCall``: stores the last result of a linearised function of arrays, for adapters to JAX and PyTorch.
 
 The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class LastCall:
-    """Value and adjoints of a linearised function. For the same arrays, adjoints reuse the last value."""
+    """Linearised function of arrays that stores its last result. For the same arrays, adjoints reuse this result."""
 
     def __init__(self, function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequence[int]) -> None:
         """Check and store the arguments of an adapter to JAX or PyTorch.
@@ -55,7 +55,7 @@ class LastCall:
         return np.array(self._at(arrays).value)
 
     def adjoints(self, arrays: Arrays, of_value: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the adjoint of each array from the adjoint of the value."""
+        """Return the adjoint of each array (derivative of a scalar loss) from the adjoint of the value."""
         result = self._at(arrays).vjp(of_value)
         return [np.array(result[name]) for name in self.names]
 

@@ -26,20 +26,21 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_series import CoefficientSeries
 
-# Smallest standard deviation of a lobe that a level may compute, in distances between neighbouring nodes of the level.
-# With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because the variance of its position
-# differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the sum.
+# Smallest standard deviation of a lobe (Gaussian weight) that a level of the pyramid may compute, in distances between
+# neighbouring nodes of the level. With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because
+# the variance of its position differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the
+# sum.
 _LEAST_DEVIATION = 2.0
-# Highest level of the pyramid. A lobe at this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it
-# covers all orders of a large block.
+# Highest level of the pyramid, in which a node of level n is the sum of 2ⁿ × 2ⁿ orders. A lobe (Gaussian weight) at
+# this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it covers all orders of a large block.
 _MOST_LEVEL = 10
 
 
 class LobePyramid:
-    """Sums of the powers of a block of orders with Gaussian weights of any width, and the transpose of these sums."""
+    """Sums of powers |H|² of Fourier coefficients with Gaussian weights of any width, and their transpose."""
 
     def __init__(self, series: CoefficientSeries, size_um: tuple[float, float], exponent: float) -> None:
-        """Set the orders and the levels of the pyramid.
+        """Set the diffraction orders, and the levels of the pyramid of their sums.
 
         Args:
             series: Chebyshev series in κ of the powers |H|² of Fourier coefficients, and the rectangle (block) of the
@@ -69,9 +70,9 @@ class LobePyramid:
         return rows, columns
 
     def sums_of(self, coefficients: NDArray[np.float64]) -> Callable[[Pairs], NDArray[np.float64]]:
-        """Return a function that computes the sums of p pairs (a direction and a wavelength), shape (p,).
+        """Return a function that computes the weighted sums of powers for p pairs (direction, wavelength), (p,).
 
-        ``coefficients`` has the Chebyshev series of the powers.
+        ``coefficients`` has the Chebyshev series of the powers of the Fourier coefficients.
         """
 
         @functools.cache
@@ -94,9 +95,9 @@ class LobePyramid:
         return sums
 
     def spread(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the powers to ``rows``, shape (size, k), one row per order of the block.
+        """Add the adjoints (derivatives of a loss) of the powers to ``rows``, (size, k), a row per order of the block.
 
-        ``parts`` has groups of pairs, each with the adjoints of its sums.
+        ``parts`` has groups of pairs (a direction and a wavelength), each with the adjoints of its sums.
         """
         nodes = [rows]
         for pairs, adjoints in parts:
@@ -110,7 +111,7 @@ class LobePyramid:
             self._add_divided(coarse, nodes[level - 1].reshape(*self._shape(level - 1), -1))
 
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
-        """Group the pairs by the level that computes their sums.
+        """Group the pairs of a direction and a wavelength by the level of the pyramid that computes their sums.
 
         Each item is the level, the indices of its pairs, these pairs for the nodes of the level, and factors by which
         their sums are multiplied.
@@ -120,8 +121,8 @@ class LobePyramid:
         variances = np.stack([scale * yy, -scale * xy, scale * xx], axis=1)
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
-        # Long lobes are processed separately from short lobes. The transposed sum searches for pairs around each node
-        # up to the length of the longest lobe, which would take too long for short lobes.
+        # Long lobes (Gaussian weights) are processed separately from short lobes. The transposed sum searches for pairs
+        # around each node up to the length of the longest lobe, which would take too long for short lobes.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))
@@ -129,7 +130,7 @@ class LobePyramid:
             yield level, chosen, *(self._at_level(own, variances[chosen], level) if level else (own, np.ones(len(own))))
 
     def _deviations(self, variances: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the smallest and the largest standard deviation of each lobe [orders], over all directions.
+        """Return the least and the largest standard deviation of each lobe (Gaussian weight) along any line [orders].
 
         Only axes with several orders count.
         """
@@ -142,10 +143,11 @@ class LobePyramid:
         return np.sqrt(np.maximum(middle - half, 0.0)) if all(self._is_axis) else largest, largest
 
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return pairs that sum the nodes of a level, and factors by which these sums are multiplied.
+        """Return pairs (direction, wavelength) that sum the nodes of a level, and factors of these sums.
 
-        The centres of the new pairs are relative to the first order of the block. Their lobes have a smaller variance,
-        because the nodes already spread each coefficient. The factors correct the sums for it.
+        The nodes are sums of neighbouring orders. The centres of the new pairs are relative to the first order of the
+        block. Their lobes have a smaller variance, because the nodes already spread each coefficient. The factors
+        correct the sums for it.
         """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
@@ -160,7 +162,7 @@ class LobePyramid:
         return Pairs(centres, forms, pairs.kappas), np.sqrt(wide / determinants)
 
     def _joined(self, fine: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nodes of the next level, shape (rows, columns, k), from the nodes of a level."""
+        """Return the nodes (sums of several orders) of the next level, (rows, columns, k), from those of a level."""
         for axis in (0, 1):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(fine, axis, 0)
@@ -173,7 +175,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the values of the nodes of a level to the nodes of the finer level: the transpose of ``_joined``."""
+        """Add the values of a level's nodes (sums of orders) to the finer level: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

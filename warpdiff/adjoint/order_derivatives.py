@@ -49,9 +49,9 @@ _TRUNCATION = 1e-13
 # within 0.06° of the horizon, and the user is warned. Efficiencies are proportional to 1/cos θ there, and their
 # derivatives to 1/cos³ θ, so that derivatives are valid for tiny changes only.
 _AT_HORIZON = 1e-3
-# Names of the variables whose change moves orders across the horizon.
+# Names of the variables of derivatives whose change moves diffraction orders across the horizon.
 _MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
-# Names of the variables that have one element per wavelength.
+# Names of the variables of derivatives that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
 # Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. A matrix has one row per
 # direction to the light and one column per order.
@@ -92,7 +92,7 @@ class _OrderCall:
         self._places = dict(zip(self._models, np.split(sites.places, ends), strict=True))
 
     def value(self) -> NDArray[np.float64]:
-        """Return the efficiencies, shape (lights, wavelengths, orders); 0 where an order does not propagate."""
+        """Return the order efficiencies, shape (lights, wavelengths, orders); 0 where an order does not propagate."""
         result = np.zeros(self._lives.shape)
         for place, model in self._models.items():
             rows = self._rows.rows[0][self._places[place]]
@@ -105,7 +105,7 @@ class _OrderCall:
     def adjoint(self, adjoints: NDArray[np.float64], names: tuple[str, ...]) -> Derivatives:
         """Return the adjoints of the variables ``names`` from the adjoints of the efficiencies.
 
-        The adjoint of the k directions to the light has the shape (k, 3).
+        An adjoint is the derivative of a scalar loss. That of the k directions to the light has the shape (k, 3).
         """
         result = {name: np.zeros(self._shape(name)) for name in names}
         rows = self._rows.empty(zero=True)
@@ -123,7 +123,7 @@ class _OrderCall:
 
     @single_threaded_blas()
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies, to first order, for changes of variables by their names."""
+        """Return the changes of the order efficiencies, to first order, for changes of variables by their names."""
         result = np.zeros(self._lives.shape)
         names = tuple(changes)
         rows = None
@@ -140,7 +140,7 @@ class _OrderCall:
         return result
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of the array of a variable: (lights, 3) for directions, and (1,) for a single number."""
+        """Return the shape of a variable's array, such as (lights, 3) for directions, and (1,) for a single number."""
         shapes = {
             "to_light": (len(self._lights), 3), "pitch_um": (2,), self._relief.variable: self._relief.variable_shape,
         }  # fmt: skip
@@ -175,7 +175,7 @@ class _OrderCall:
                 yield name, index, slopes[name][None]
 
     def _check_count(self, *, normalised: bool) -> None:
-        """Raise an error if normalised orders are too many, or if the matrices require more memory than is free."""
+        """Raise an error for too many normalised orders, or if efficiency matrices require more memory than is free."""
         most = int(self._lives.sum(axis=-1).max())
         if normalised and most > energy_normalisation.MOST_EXACT:
             raise ArgumentValueError(
@@ -295,7 +295,8 @@ def order_efficiencies(
 
 def _warn_of_table(material: Material, wavelengths_nm: NDArray[np.float64]) -> None:
     """Warn of wavelengths at table entries of the index of refraction, where the interpolated index has a kink."""
-    # The first and the last entry of a table are no kinks, because the index is not known beyond them.
+    # The first and the last entry of a table of refractive indices are no kinks, because the index is not known beyond
+    # them.
     tables = [np.asarray(part.wavelengths_nm)[1:-1] for part in (material, material.film) if part is not None]
     count = int(np.isin(wavelengths_nm, np.concatenate(tables)).sum())
     if count:

@@ -51,7 +51,7 @@ class OrderModel:
         size_um: tuple[float, float], is_constant: tuple[bool, bool], *, normalised: bool, ior: float,
         material: Material | None,
     ) -> None:  # fmt: skip
-        """Set the orders and compute their geometry.
+        """Set the diffraction orders, and compute their geometry factors and |κ|.
 
         Args:
             light: Unit vector to the light, shape (3,).
@@ -77,7 +77,7 @@ class OrderModel:
             shifts = shifts[1.0 - np.sum((light[1::-1] + shifts * steps) ** 2, axis=1) > HORIZON**2]
         self._own = int(np.flatnonzero(~shifts.any(axis=1))[0])
         self._is_mirror = ~orders.any(axis=1)
-        # Result of `slopes`, which is stored because adjoint and tangent use it several times.
+        # Stored result of the method `slopes`, because adjoint and tangent use it several times.
         self._derivatives: Derivatives | None = None
         self.indices = -(shifts[:, None] + orders[None]).reshape(-1, 2)
         self._set_geometry(light, orders, shifts, size_um)
@@ -87,7 +87,7 @@ class OrderModel:
         self, light: NDArray[np.float64], orders: NDArray[np.int64], shifts: NDArray[np.int64],
         size_um: tuple[float, float],
     ) -> None:  # fmt: skip
-        """Compute geometry factors, |κ| and the prescribed sums, with derivatives with respect to ``GEOMETRY``."""
+        """Compute geometry factors, |κ| and prescribed sums of rows and columns, with derivatives by ``GEOMETRY``."""
         values = (light[0], light[1], size_um[1], size_um[0], 1e-3 * self._wavelength_nm, 1.0)
         x, y, length_x, length_y, wavelength, scale = Jet.variables(*(np.full((1, 1), value) for value in values))
         per_x, per_y = wavelength / length_x, wavelength / length_y
@@ -106,7 +106,8 @@ class OrderModel:
         """Return the efficiencies of the n orders, shape (n,).
 
         Args:
-            powers: Power |H|² of each matrix element, shape (rows · columns,).
+            powers: Power |H|² of each element of the matrix (directions to the light × orders), shape (rows ·
+                columns,).
             slopes: Derivatives of these powers with respect to |κ| [µm].
         """
         self._derivatives = None
@@ -124,7 +125,10 @@ class OrderModel:
         return np.asarray(self._mirrors * self._reflected.value)
 
     def power_adjoints(self, adjoints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the adjoints of |H|² of matrix elements, (rows · columns,), from the adjoints of the efficiencies."""
+        """Return the adjoints of the powers |H|² of all matrix elements from the adjoints of the efficiencies.
+
+        An adjoint is the derivative of a scalar loss. The result has the shape (rows · columns,).
+        """
         mirrors = adjoints * self._reflected.value
         result = np.zeros_like(self._shares)
         result[self._own] = mirrors
@@ -137,7 +141,7 @@ class OrderModel:
         return np.asarray(result * self._weights * self._factor.value).ravel()
 
     def power_tangent(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies for changes of |H|² of matrix elements, shape (rows · columns,)."""
+        """Return the changes of the efficiencies for changes of all elements |H|² of the matrix, (rows · columns,)."""
         of_matrix = self._factor.value * changes.reshape(self._shares.shape)
         zero = np.zeros((1, *self._rows.value.shape)), np.zeros((1, *self._columns.value.shape))
         return np.asarray(self._mirror_changes(of_matrix[None], *zero)[0] * self._reflected.value)
@@ -188,7 +192,7 @@ class OrderModel:
 
 
 def _rise(cosine: Jet) -> Jet:
-    """Return the sum that a row or column must have, as a jet (value and derivatives).
+    """Return the sum that a row or column of the matrix of efficiencies must have, as a jet (value and derivatives).
 
     The sum is the function ``energy_normalisation.rise`` of the cosine of the angle from the normal.
     """

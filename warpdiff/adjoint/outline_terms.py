@@ -54,7 +54,7 @@ class OutlineTerms:
         return OutlineTangent(self, np.concatenate([change, change[:1]]))
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
-        """Return the adjoint of the position and height of each vertex, shape (vertices, 2).
+        """Return the adjoint (derivative of a loss) of the position and height of each vertex, shape (vertices, 2).
 
         ``parts`` has slices of the orders, each with the adjoints of the two results of ``at`` for this slice.
         """
@@ -89,10 +89,10 @@ class OutlineTerms:
         return plus, np.conj(minus)
 
     def _segments(self, orders: NDArray[np.float64]) -> tuple[Complex, Complex, Complex, Complex]:
-        """Return the integrals over the s segments, and their derivatives, for p orders and k values of κ.
+        """Return the integrals of exp(iφ) over the s segments, and their derivatives, for p orders and k values of κ.
 
-        The derivatives are with respect to the phase at the first end of a segment, the phase at its second end, and
-        its width. All four arrays have the shape (k, p, s).
+        φ is the phase. The derivatives are with respect to the phase at the first end of a segment, the phase at its
+        second end, and its width. All four arrays have the shape (k, p, s).
         """
         phases = 2.0 * math.pi * (
             self._kappas[:, None, None] * self._heights + orders[:, None] * self._positions

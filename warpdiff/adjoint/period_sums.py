@@ -41,7 +41,7 @@ class PeriodSums:
 
     @single_threaded_blas()
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return |P|² of each of the p pairs, shape (p,)."""
+        """Return the diffracted power |P|² of each of the p pairs (a direction and a wavelength), shape (p,)."""
         factors = self._interference(pairs)
         result = np.empty(len(pairs))
         for k in range(len(pairs)):
@@ -51,7 +51,7 @@ class PeriodSums:
 
     @single_threaded_blas()
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return |P|² and its derivatives for each of the p pairs, shape (p, 9).
+        """Return the power |P|² and its derivatives for each of p pairs of a direction and a wavelength, (p, 9).
 
         The columns are ``Q_X`` to ``VALUE`` of ``power_sums``; those of the Gaussian weights remain 0.
         """
@@ -78,7 +78,10 @@ class PeriodSums:
 
     @single_threaded_blas()
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights [1/µm], (ny, nx). ``parts`` has pairs with the adjoints of their |P|²."""
+        """Return the adjoint of the heights (the derivative of a loss with respect to them) [1/µm], shape (ny, nx).
+
+        ``parts`` has pairs of a direction and a wavelength with the adjoints of their powers |P|².
+        """
         result = np.zeros_like(self._heights)
         for pairs, adjoints in parts:
             factors = self._interference(pairs)
@@ -91,7 +94,7 @@ class PeriodSums:
         return result
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of |P|² for one change of the heights [µm]."""
+        """Return a function of pairs that computes the changes of the power |P|² for one change of the heights [µm]."""
 
         @single_threaded_blas()
         def changes(pairs: Pairs) -> NDArray[np.float64]:

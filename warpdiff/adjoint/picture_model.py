@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 # Sizes of polar grids, from coarse to fine: number of rings per octave of the frequency, and number of azimuth samples
 # per standard deviation of a diffraction order. The first grid whose error is within the tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
-# The error of a grid is measured on `_CHECKED` bright samples and the same number of random samples of each group. For
-# at least the fraction `_SHARE` of these samples, the error must be within the tolerance.
+# The error of a polar grid is measured on `_CHECKED` bright samples and the same number of random samples of each group
+# (one illuminant and material). For at least the fraction `_SHARE` of these samples, it must be within the tolerance.
 _CHECKED, _SHARE = 64, 0.95
-# Relative size of the truncated terms of series and sums, divided by the tolerance.
+# Permitted error by the truncation of series and sums, divided by the tolerance of the colours.
 _TRUNCATION_SHARE = 1e-2
 # Memory of a call [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and
 # per reflectance of a material, which is stored for each direction at each ring (wavelength).
@@ -50,25 +50,25 @@ _REMEDY = "take a smaller picture, {share} of the area of heightfield, or a larg
 
 
 class Colours(Protocol):
-    """Colours of samples, as a linear function of the powers of Fourier coefficients."""
+    """Colours of the samples of a picture, as a linear function of the powers of Fourier coefficients."""
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the samples of each group, shape (n, 3). ``coefficients`` has the series of the powers."""
+        """Return XYZ of the samples of each group, shape (n, 3), from the Chebyshev series of the powers |H|²."""
         ...
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the powers to ``rows``, shape (orders, k), for series of k terms.
+        """Add the adjoints of the powers (derivatives of a loss) to ``rows``, shape (orders, k), for series of k terms.
 
-        ``adjoints`` has those of XYZ of each group. The function is the transpose of ``sums``.
+        ``adjoints`` has those of XYZ of each group of samples. The function is the transpose of ``sums``.
         """
         ...
 
 
 class PictureModel:
-    """Colours of samples, and their derivatives with respect to the heights."""
+    """Colours of the samples of a picture, and their derivatives with respect to the heights."""
 
     def __init__(self, relief: Relief, groups: list[LitPixels], coherence: Coherence, tolerance: float) -> None:
-        """Compute the colours.
+        """Compute the colours of all samples of a picture.
 
         Args:
             relief: Height field or outline.
@@ -94,7 +94,7 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights from the adjoints of XYZ of the samples of each group, shape (n, 3)."""
+        """Return the adjoint (derivative of a loss) of the heights from those of XYZ of the samples of each group."""
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
@@ -104,7 +104,7 @@ class PictureModel:
         return self._colours.sums(self._series.tangent(change))
 
     def _size_of_rings(self, sizes: RingSizes) -> SeriesSize | None:
-        """Return the numbers of terms for a polar grid; None if the kernels have no memory for so many terms."""
+        """Return the numbers of series terms for a polar grid; None if the kernels have no memory for so many terms."""
         margin = kappa_margin(sizes)
         low, high = self._kappas()
         kappas = low / margin, high * margin
@@ -160,8 +160,8 @@ class PictureModel:
         Args:
             block: Rectangle of orders that have coefficients.
             size: Range of |κ| and numbers of terms of the series.
-            ring_values: Number of values on all rings.
-            reflectances: Number of reflectances at rings.
+            ring_values: Number of samples of the power spectrum on the rings of a polar grid; 0 without a grid.
+            reflectances: Number of stored reflectances, one per direction and ring if the surface has a material.
         """
         ny, nx = self._relief.shape
         sites = min(block.size, ny * (nx // 2 + 1))
@@ -207,7 +207,7 @@ class _OnLobes:
 
 
 class _WithZeroth:
-    """Colours as sums over rings, to which the zeroth order is added at the samples near the mirror direction."""
+    """Colours as sums over rings of a polar grid, plus the zeroth order at the samples near the mirror direction."""
 
     def __init__(
         self, rings: PolarGridSums, sums: WavelengthSums, lobes: GaussianLobes, near: list[NDArray[np.int64]],

@@ -34,17 +34,18 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.render.picture_samples import LitPixels
 
-# Distance of the samples of the spectrum along the radius, in standard deviations of its lobes. Each lobe is the
+# Distance of the samples of the power spectrum along the radius, in standard deviations of its lobes. Each lobe is the
 # Gaussian peak of one coefficient. At this distance, a sum of equal Gaussians varies by only 2 exp(−2π²/1.5²) = 3e-4.
 _SAMPLE_SPACING_SIGMAS = 1.5
-# Radius around the origin of the frequency plane within which the spectrum counts as constant, in standard deviations
-# of its lobes (Gaussian peaks). A Gaussian changes by at most 0.02²/2 = 2e-4 within this radius of its centre.
+# Radius around the origin of the frequency plane within which the power spectrum counts as constant, in standard
+# deviations of its lobes (Gaussian peaks). A Gaussian changes by at most 0.02²/2 = 2e-4 within this radius of its
+# centre.
 _FLAT_WITHIN_SIGMAS = 0.02
 # Smallest number of azimuth samples of a ring. With this number, the four samples between which a value is interpolated
 # are different.
 _FEWEST_AZIMUTHS = 16
-# The spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of them. At
-# this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
+# The power spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of
+# them. At this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
 _NEIGHBOURS = 16
 # Number of cosines of angles at which the reflectance of a material is tabulated, for each whole nanometre. For metals,
 # the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of colours in `PictureModel`
@@ -59,11 +60,11 @@ _AZIMUTHS_OF_SLICE, _CELLS_OF_SLICE, _PIXELS_OF_SLICE = 64, 1024, 512
 
 @dataclass(frozen=True)
 class RingSizes:
-    """Size of a polar grid.
+    """Size of a polar grid of spatial frequencies.
 
     Attributes:
         rings_per_octave: Number of rings per octave (factor of 2) of the radius.
-        azimuths_per_sigma: Number of azimuth samples per standard deviation of the lobes (Gaussian peaks) of the
+        azimuths_per_sigma: Number of azimuth samples per standard deviation of the lobes (Gaussian peaks) of the power
             spectrum.
     """
 
@@ -82,28 +83,28 @@ def kappa_margin(sizes: RingSizes) -> float:
 
 
 class RingGrid:
-    """Rings and azimuths at which the spectrum is sampled for some directions.
+    """Rings and azimuths at which the power spectrum of a surface is sampled for some directions.
 
     Attributes:
         sizes: Size of the grid.
         log_first: Logarithm of the frequency of the innermost ring [1/µm].
         azimuths: Number of azimuth samples of a ring, for each block of rings.
-        rows: Number of values on all rings.
+        rows: Number of samples of the power spectrum on all rings together.
     """
 
     def __init__(self, groups: list[LitPixels], sizes: RingSizes, falloff: float) -> None:
         """Choose the rings and azimuths for the directions of some groups.
 
         Args:
-            groups: Directions by illuminant.
+            groups: Groups of directions by illuminant and material.
             sizes: Size of the grid.
             falloff: Factor a [µm²] of the weights exp(−a d²) of coefficients at the distance d [1/µm].
         """
         self.sizes, self._falloff, self._sigma = sizes, falloff, 1.0 / math.sqrt(2.0 * falloff)
         step = sizes.step
         radii = [self.radii_of(group) for group in groups]
-        # The rings of a colour extend from two rings before its longest wavelength to two rings beyond its shortest
-        # wavelength.
+        # The rings that contribute to a colour extend from two rings before its longest wavelength to two rings beyond
+        # its shortest wavelength.
         low = min(float(part.min()) for part in radii) / _RED_UM * math.exp(-3.0 * step)
         high = max(float(part.max()) for part in radii) / _BLUE_UM * math.exp(4.0 * step)
         self._blocks: int = math.ceil(math.log(high / low) / (BLOCK_RINGS * step))
@@ -127,11 +128,11 @@ class RingGrid:
         return np.asarray(np.maximum(np.hypot(*group.scattering_vectors[:, :2].T), least))
 
     def places(self, radii: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the ring index (a fraction) of the longest visible wavelength for values of |(u, v)| of directions."""
+        """Return the ring index (a fraction) of the wavelength 780 nm for directions with |(u, v)| = ``radii``."""
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
-        """Mark the azimuths that the directions of a group use, and the neighbours that the splines require."""
+        """Mark the azimuth samples that the directions of a group use, and the neighbours that the splines require."""
         first = np.ceil(places).astype(np.int64) - 2
         turns, count = turns_of(group), ring_count(self.sizes.rings_per_octave)
         for block, azimuths in enumerate(self.azimuths.tolist()):
@@ -151,7 +152,7 @@ class RingGrid:
         return int(self._blocks * BLOCK_RINGS // TOGETHER)
 
     def _radii(self, block: int) -> NDArray[np.float64]:
-        """Return the frequencies at which the spectrum is sampled in a block of rings [1/µm]."""
+        """Return the frequencies at which the power spectrum is sampled in a block of consecutive rings [1/µm]."""
         count = int(self._divisions[block])
         places = (np.arange((BLOCK_RINGS + 2) * count) + 0.5) / count - 1.5
         return np.asarray(np.exp(self._log_firsts[block] + self.sizes.step * places))
@@ -160,7 +161,7 @@ class RingGrid:
         return np.asarray(2.0 * math.pi * np.arange(self.azimuths[block]) / self.azimuths[block])
 
     def block(self, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-        """Return the smallest rectangle of orders that contains all coefficients of the sums.
+        """Return the smallest rectangle of orders with all Fourier coefficients that the samples on the grid require.
 
         Weights below e^−exponent are neglected. Along an axis with a single height sample, the only order is 0.
         """
@@ -178,9 +179,9 @@ class RingGrid:
         return Block((int(first[0]), int(first[1])), (int(counts[0]), int(counts[1])))
 
     def struct(self, excluded: int) -> polar_sums.RingBlocks:
-        """Return the grid as the struct of the kernels.
+        """Return the polar grid as the struct of the kernels.
 
-        ``excluded`` is the index, in the block of orders, of a coefficient to omit; −1 omits none.
+        ``excluded`` is the index, in the block of orders, of a Fourier coefficient to omit; −1 omits none.
         """
         blocks = range(self._blocks)
         radii, angles = [self._radii(block) for block in blocks], np.concatenate([self._angles(b) for b in blocks])
@@ -202,10 +203,13 @@ class RingGrid:
 
 
 class PolarGridSums:
-    """Colours of directions by a polar grid of the spectrum, as a linear function of the series of coefficients."""
+    """Colours of directions from samples of the power spectrum on a polar grid of frequencies.
+
+    The colours are a linear function of the Chebyshev series of the powers of Fourier coefficients.
+    """
 
     def __init__(self, grid: RingGrid, lobes: GaussianLobes, groups: list[LitPixels], excluded: int) -> None:
-        """Compute the positions of the directions on the grid.
+        """Compute the positions of the directions on the polar grid.
 
         Args:
             grid: Polar grid that was chosen for these directions.
@@ -218,7 +222,7 @@ class PolarGridSums:
         self._pixels = [self._placed(group) for group in groups]
 
     def _placed(self, group: LitPixels) -> _Placed:
-        """Return the directions of a group, sorted by their positions on the grid."""
+        """Return the directions of a group, sorted by their positions on the polar grid, in the form of the kernels."""
         radii = self._rings.radii_of(group)
         places = self._rings.places(radii)
         order = np.argsort(places, kind="stable")
@@ -262,7 +266,7 @@ class PolarGridSums:
         return np.asarray(ndimage.map_coordinates(table, places, order=1))
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the directions of each group, shape (n, 3). ``coefficients`` has the series of the powers."""
+        """Return XYZ of the directions of each group, shape (n, 3), from the Chebyshev series of the powers |H|²."""
         table = self._lobes.table(coefficients)
         values = np.zeros((self._rings.rows, coefficients.shape[1]))
         launch(
@@ -284,9 +288,9 @@ class PolarGridSums:
         return result
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the powers to ``rows``, shape (orders, k): the transpose of ``sums``.
+        """Add the adjoints of the powers |H|² to ``rows``, shape (orders, k): the transpose of ``sums``.
 
-        ``adjoints`` has the derivatives of a loss with respect to XYZ of each group, shape (n, 3).
+        ``adjoints`` has the derivatives of a loss with respect to XYZ of each group of directions, shape (n, 3).
         """
         values = np.zeros((self._rings.rows, rows.shape[1]))
         for placed, adjoint in zip(self._pixels, adjoints, strict=True):
@@ -295,7 +299,7 @@ class PolarGridSums:
                 polar_sums.spread_pixels_to_rings, self._rings.groups, [self._struct, placed.pixels],
                 [_shared(values)], slice_size=1, **self._where,
             )  # fmt: skip
-        # The matrix of the interpolation by splines is symmetric, so that the same function is its transpose.
+        # The matrix of the spline interpolation over azimuths is symmetric, so that the same function is its transpose.
         self._filter(values)
         table = self._lobes.table(np.zeros((1, rows.shape[1])))
         launch(
@@ -304,7 +308,7 @@ class PolarGridSums:
         )  # fmt: skip
 
     def _filter(self, values: NDArray[np.float64]) -> None:
-        """Replace the values at azimuths by the coefficients of the cubic splines that interpolate these values."""
+        """Replace samples of the power spectrum along azimuth by coefficients of their interpolating cubic splines."""
         from scipy import ndimage
 
         begin = 0

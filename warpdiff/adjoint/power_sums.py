@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 # itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
-# Index of the column with the sum itself in the result of ``GaussianLobes.derivatives``.
+# Index of the column with the weighted sum of Fourier coefficients itself in the result of
+# ``GaussianLobes.derivatives``.
 _SUM = lobe_sums.DERIVATIVES - 1
 
 
@@ -42,7 +43,7 @@ class TangentSums(Protocol):
     """Function that computes the changes of ⟨|P|²⟩ of pairs (direction, wavelength), for one change of the surface."""
 
     def __call__(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return the change of ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
+        """Return the change of the power ⟨|P|²⟩ of each of the p pairs (a direction and a wavelength), shape (p,)."""
         ...
 
 
@@ -50,27 +51,30 @@ class PowerSums(Protocol):
     """Object that computes the diffracted power ⟨|P|²⟩ of a surface, for one coherence of the light."""
 
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
+        """Return the diffracted power ⟨|P|²⟩ of each of the p pairs (a direction and a wavelength), shape (p,)."""
         ...
 
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩ and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
+        """Return the power ⟨|P|²⟩ and its derivatives for each of p pairs (direction, wavelength), shape (p, 9).
+
+        The columns are ``Q_X`` to ``VALUE``.
+        """
         ...
 
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+        """Return the adjoint of the surface (the derivative of a loss with respect to its heights or vertices).
 
-        ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩.
+        ``parts`` has groups of pairs (a direction and a wavelength), each with the adjoints of their powers ⟨|P|²⟩.
         """
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of ⟨|P|²⟩ for one change of the surface."""
+        """Return a function of pairs that computes the changes of their power ⟨|P|²⟩ for one change of the surface."""
         ...
 
 
 class LobeSums:
-    """⟨|P|²⟩ from Fourier coefficients with Gaussian weights, for one coherence of the light.
+    """Diffracted power ⟨|P|²⟩ from Fourier coefficients with Gaussian weights, for one coherence of the light.
 
     For averaged coherence windows and light sources, powers are summed. For centred windows, amplitudes are summed, and
     the sum is squared.
@@ -108,12 +112,15 @@ class LobeSums:
         self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
 
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
+        """Return the diffracted power ⟨|P|²⟩ of each of the p pairs (a direction and a wavelength), shape (p,)."""
         parts = self._parts(pairs, self._coefficients)
         return parts[0] if self._rows.powers else parts[0] ** 2 + parts[1] ** 2
 
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩ and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
+        """Return the power ⟨|P|²⟩ and its derivatives for each of p pairs (direction, wavelength), shape (p, 9).
+
+        The columns are ``Q_X`` to ``VALUE``.
+        """
         slopes = [self._lobes.derivatives(pairs, row) for row in self._coefficients]
         if self._rows.powers:
             return slopes[0][:, [*range(VALUE), _SUM]]
@@ -128,9 +135,9 @@ class LobeSums:
 
     @single_threaded_blas()
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+        """Return the adjoint of the surface (the derivative of a loss with respect to its heights or vertices).
 
-        ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩.
+        ``parts`` has groups of pairs (a direction and a wavelength), each with the adjoints of their powers ⟨|P|²⟩.
         """
         blocks = [np.zeros((self._block.size, self._rows.terms)) for _ in self._rows.rows]
         for pairs, adjoints in parts:
@@ -148,7 +155,7 @@ class LobeSums:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of ⟨|P|²⟩ for one change of the surface."""
+        """Return a function of pairs that computes the changes of their power ⟨|P|²⟩ for one change of the surface."""
         rows = self._rows.tangent(self._terms, self._terms.tangent(change))
         if not self._rows.powers:
             rows = self._shifted(rows)
@@ -166,7 +173,7 @@ class LobeSums:
         return [self._lobes.sums(pairs, row) for row in rows]
 
     def _shifted(self, rows: Rows) -> Rows:
-        """Return the amplitudes of all orders of the block, with the phases that the centre of the window causes."""
+        """Return the amplitudes of all orders, with the phases that the centre of the coherence window causes."""
         return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 

@@ -22,31 +22,34 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.materials import Material
 
-# Names of the variables of a material's reflectance, in the order of the partial derivatives; "cosine" is cos θd.
+# Names of the variables of a material's reflectance, in the order of the partial derivatives; "cosine" is that of half
+# of the angle between light and view.
 MATERIAL_VARIABLES = ("cosine", "n", "k", "film_nm", "wavelengths_nm")
-# Names of the variables of Schlick's reflectance, in the order of the partial derivatives; "cosine" is cos θd.
+# Names of the variables of Schlick's reflectance, in the order of the partial derivatives; "cosine" is that of half of
+# the angle between light and view.
 IOR_VARIABLES = ("cosine", "ior")
 
-# Difference between cos θi and cos θr, or between M and 1, below which both numbers count as equal. The value is
-# limited by rounding errors of directions.
+# Difference between the cosines of light and viewer, or between the masking factor and 1, below which both numbers
+# count as equal. The value is limited by rounding errors of directions.
 _EQUAL_COSINES = 1e-9
 
 
 def geometry(
     lights: NDArray[np.float64], views: NDArray[np.float64], *, masking: bool, per_light_cosine: bool
 ) -> tuple[Jet, Jet]:
-    """Return C·M, and cos θd, for pairs of unit vectors above the horizon; see ``reflectance_factors.gain``.
+    """Return the geometry factor C·M and cos θd for pairs of unit vectors; see ``reflectance_factors.gain``.
 
-    Both results are jets: values with their derivatives by six variables. The variables are the components of the
-    direction to the light, and then those of the direction to the viewer. The derivatives do not assume that the
-    directions remain unit vectors. The caller must therefore project the derivatives onto the sphere.
+    M is the masking factor, and θd half of the angle between the vectors, which are above the horizon. Both results are
+    jets: values with their derivatives by six variables. The variables are the components of the direction to the
+    light, and then those of the direction to the viewer. The derivatives do not assume that the directions remain unit
+    vectors. The caller must therefore project the derivatives onto the sphere.
 
     Args:
         lights: Directions to the light, shape (n, 3).
         views: Directions to the viewer, shape (n, 3).
         masking: Whether to include M; without it, the first result is C. At equal cosines of light and viewer, the
             derivative is the one-sided derivative towards a smaller cosine of the light.
-        per_light_cosine: Whether to divide by cos θi.
+        per_light_cosine: Whether to divide by cos θi, the cosine of the light's angle from the normal.
     """
     variables = Jet.variables(*lights.T, *views.T)
     light, view = variables[:3], variables[3:]
@@ -64,7 +67,7 @@ def geometry(
 
 
 def kinks(lights: NDArray[np.float64], views: NDArray[np.float64]) -> int:
-    """Return the number of pairs of directions at which the derivative of the masking M jumps.
+    """Return the number of pairs of light and view directions at which the derivative of the masking factor M jumps.
 
     This happens if the cosines of light and viewer are equal and M < 1, or if M reaches its limit of 1.
     """
@@ -134,14 +137,17 @@ def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: ND
 
 
 def _dispersion(material: Material, wavelength: Jet) -> Jet:
-    """Return the derivatives of n + ik through the wavelength, as a jet of the value 0 that is added to n + ik."""
+    """Return a jet of value 0 whose derivative is that of the index n + ik with respect to the wavelength.
+
+    The caller adds it to n + ik.
+    """
     table = np.asarray(material.wavelengths_nm)
     index = np.asarray(material.n) + 1j * np.asarray(material.k)
     if len(table) == 1:
         slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
     else:
-        # At the last entry of a table, the derivative is that towards shorter wavelengths, because n + ik is not known
-        # at longer wavelengths.
+        # At the last entry of a table of refractive indices, the derivative is that towards shorter wavelengths,
+        # because n + ik is not known at longer wavelengths.
         place = np.clip(np.searchsorted(table, wavelength.value, side="right") - 1, 0, len(table) - 2)
         inside = (wavelength.value >= table[0]) & (wavelength.value <= table[-1])
         slope = np.where(inside, (np.diff(index) / np.diff(table))[place], 0.0)

@@ -10,8 +10,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Argument |y| below which a power series with `_TERMS` terms is used instead of the formula, which is a quotient. At
-# this argument, the series has an error of 1e-16. At larger arguments, the quotient loses at most two digits.
+# Argument |y| below which a power series with `_TERMS` terms is used instead of the formula for the derivative of
+# sin(y)/y, which is a quotient. At this argument, the series has an error of 1e-16. At larger arguments, the quotient
+# loses at most two digits.
 _SMALL, _TERMS = 0.8, 8
 
 

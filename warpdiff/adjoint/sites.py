@@ -1,4 +1,4 @@
-"""Frequencies of Fourier coefficients, reduced to half of the frequency plane, and their Fourier transforms.
+"""Frequencies of Fourier coefficients, reduced to half of the frequency plane, and Fourier transforms at them.
 
 An order (s, r) is a frequency of s cycles along y and r cycles along x over the array. Its opposite is (−s, −r). A site
 is an order in half of the frequency plane, together with all orders that have the same Fourier coefficient.
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Block:
-    """Rectangular block of orders (s, r).
+    """Rectangular block of diffraction orders (s, r).
 
     Attributes:
         first: Lowest order along (y, x).
@@ -58,7 +58,7 @@ class Sites:
     """
 
     def __init__(self, shape: tuple[int, int], s: NDArray[np.int64], r: NDArray[np.int64]) -> None:
-        """Find the sites of n orders (s, r) for arrays of the shape ``shape``, (ny, nx)."""
+        """Find the sites (distinct frequencies) of n orders (s, r) for arrays of the shape ``shape``, (ny, nx)."""
         self._shape = ny, nx = shape
         column = r % nx
         is_opposite = column > nx // 2
@@ -68,13 +68,14 @@ class Sites:
         self.count = len(flat)
         self.places = (index + self.count * is_opposite).astype(np.int32)
         self.are_distinct = bool(np.bincount(self.places, minlength=1).max() <= 1)
-        # Only the columns from 0 to the largest column of a site are transformed along y, to save time.
+        # Only the columns of the transform from 0 to the largest column of a site (frequency) are transformed along y,
+        # to save time.
         self._columns = int(column.max()) + 1
         self._flat = flat
 
     @property
     def columns(self) -> NDArray[np.int64]:
-        """Orders r along x of the sites, at least 0, shape (p,)."""
+        """Orders r along x (column indices, at least 0) of the sites, shape (p,)."""
         return np.asarray(self._flat // self._shape[0])
 
     def transform(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:

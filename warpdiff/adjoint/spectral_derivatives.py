@@ -88,7 +88,7 @@ class SpectralCall:
         return bool(set(self._names) - set(SURFACE))
 
     def covers(self, low_nm: float, high_nm: float) -> None:
-        """Raise an error if the material is not known in a range of wavelengths."""
+        """Raise an error if the refractive index of the material is not known in a range of wavelengths."""
         if self._material is not None:
             check_covers(self._material, low_nm, high_nm)
 
@@ -101,14 +101,14 @@ class SpectralCall:
         return {name: shapes.get(name, ()) for name in self._names}
 
     def sampling(self, illuminant: str | Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the m wavelengths [nm] at which colours are sampled, shape (m,), and their weights, shape (m, 3)."""
+        """Return the m wavelengths [nm] at which colours are sampled, shape (m,), and their weights in XYZ, (m, 3)."""
         return colour_sampling.sampling(
             self._lights[self._above], self._views[self._above], self._relief.scale_um, self._relief.size_um,
             self._coherence, self._material, illuminant, self._truncation,
         )  # fmt: skip
 
     def evaluate(self, wavelengths_nm: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Linearised:
-        """Return ρ of n pairs of directions at m wavelengths, shape (n, m), with derivatives.
+        """Return the relative reflectance ρ of n pairs of directions at m wavelengths, shape (n, m), with derivatives.
 
         With weights of shape (m, 3), the value is ρ @ ``weights``, which are colours.
         """
@@ -145,7 +145,10 @@ class SpectralCall:
         return linearised(value.reshape(shape), shapes, adjoint, tangent)
 
     def _sums(self, illumination: Illumination) -> PowerSums:
-        """Return ⟨|P|²⟩ of the surface; raise ``MemoryError`` before the computation if it requires too much memory."""
+        """Return an object that computes the diffracted power ⟨|P|²⟩ of the surface.
+
+        If this requires too much memory, ``MemoryError`` is raised before the computation.
+        """
         relief = self._relief
         if self._coherence.periods is not None:
             if not isinstance(relief.surface, HeightField):

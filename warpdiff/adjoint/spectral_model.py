@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 # Number of pairs of a direction and a wavelength that are computed at once. The value is limited by memory: a pair
 # requires about 700 bytes.
 PAIRS_TOGETHER = 1 << 18
-# Largest number of pairs whose derivatives are stored after the value has been computed. The value is limited by
-# memory: a pair requires 72 bytes.
+# Largest number of pairs (a direction and a wavelength) whose derivatives are stored after the value has been computed.
+# The value is limited by memory: a pair requires 72 bytes.
 MOST_KEPT = 1 << 23
 # Names of the variables that are the surface itself: heights of a height field, or vertices of an outline (polygon).
 # Their adjoint and tangent are computed for all pairs in one step.
@@ -72,14 +72,14 @@ class Illumination:
 
     @property
     def falloffs(self) -> NDArray[np.float64]:
-        """Factor a [µm²] of the weights exp(−a dᵀQd) at each of the m wavelengths, shape (m,)."""
+        """Factor a [µm²] of the weights exp(−a dᵀQd) of Fourier coefficients at the m wavelengths, shape (m,)."""
         if self.coherence.kind == "source":
             return np.asarray((1e-3 * self.wavelengths_nm / self.coherence.spread) ** 2 / 2.0)
         factor = 4.0 if self.coherence.kind == "averaged" else 2.0
         return np.full(len(self.wavelengths_nm), factor * (math.pi * (self.coherence.sigma_um or 1.0)) ** 2)
 
     def shapes(self, part: slice) -> NDArray[np.float64]:
-        """Return the elements Q_xx, Q_xy and Q_yy of the matrix Q of the weights for each direction, shape (n, 3).
+        """Return the elements Q_xx, Q_xy, Q_yy of the matrix Q of the Gaussian weights per direction, shape (n, 3).
 
         For a light source of finite size, its foreshortening on the surface determines Q. For a coherence window, Q is
         the unit matrix.
@@ -106,16 +106,20 @@ class Illumination:
         return Pairs(centres.reshape(-1, 2), forms.reshape(-1, 3), np.outer(half[:, 2], per_um).ravel())
 
     def gains(self, part: slice) -> tuple[Jet, Jet]:
-        """Return g and cos θd of the directions ``part``, with derivatives by the components of both directions."""
+        """Return the geometry factor g, and cos θd, of the directions ``part``, with derivatives by both directions.
+
+        θd is half of the angle between the directions to light and viewer.
+        """
         return reflection.geometry(
             self.lights[part], self.views[part], masking=self.masking,
             per_light_cosine=self.coherence.kind == "source",
         )  # fmt: skip
 
     def reflectances(self, cosines: NDArray[np.float64]) -> Jet:
-        """Return R and its derivatives at n values of cos θd, shape (n, m) for m wavelengths.
+        """Return the reflectance R and its derivatives at n cosines of θd and m wavelengths, shape (n, m).
 
-        Without a material, R does not depend on the wavelength, and the shape is (n, 1).
+        θd is half of the angle between the directions to light and viewer. Without a material, R does not depend on the
+        wavelength, and the shape is (n, 1).
         """
         if self.material is None:
             return reflection.schlick(cosines[:, None], self.ior, relative=True)
@@ -127,23 +131,23 @@ class SpectralModel:
     """Relative reflectance ρ of n pairs of directions at m wavelengths, with adjoint and tangent."""
 
     def __init__(self, illumination: Illumination, sums: power_sums.PowerSums, samples: tuple[int, int]) -> None:
-        """Set the pairs and the surface.
+        """Set the directions, the wavelengths and the surface.
 
         Args:
             illumination: Directions, wavelengths and optics.
-            sums: Object that computes ⟨|P|²⟩ of the surface.
+            sums: Object that computes the diffracted power ⟨|P|²⟩ of the surface.
             samples: Numbers of samples (y, x). The size of the surface is the pitch times these numbers.
         """
         self._illumination, self._sums, self._samples = illumination, sums, samples
-        # Stored sums ⟨|P|²⟩ and their derivatives. The directions are processed in parts. A key is the index of the
+        # Stored powers ⟨|P|²⟩ and their derivatives. The directions are processed in parts. A key is the index of the
         # first direction of a part.
         self._columns: dict[int, NDArray[np.float64]] = {}
 
     def value(self, *, with_slopes: bool) -> NDArray[np.float64]:
-        """Return ρ of the n pairs of directions at the m wavelengths, shape (n, m).
+        """Return the relative reflectance ρ of the n pairs of directions at the m wavelengths, shape (n, m).
 
         ``with_slopes`` states whether derivatives with respect to numbers or directions will be requested later. The
-        sums ⟨|P|²⟩ and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs
+        powers ⟨|P|²⟩ and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs
         of a direction and a wavelength.
         """
         illumination = self._illumination
@@ -160,9 +164,9 @@ class SpectralModel:
         return result
 
     def adjoint(self, adjoints: NDArray[np.float64], names: tuple[str, ...]) -> Derivatives:
-        """Return the adjoints of the variables ``names`` from the adjoints of ρ, shape (n, m).
+        """Return the adjoints of the variables ``names`` from the adjoints of the reflectance ρ, shape (n, m).
 
-        The adjoint of a direction to the light or viewer has the shape (n, 3).
+        The adjoint (derivative of a loss) of a direction to the light or viewer has the shape (n, 3).
         """
         result: Derivatives = {}
         others = tuple(name for name in names if name not in SURFACE)
@@ -183,7 +187,10 @@ class SpectralModel:
         return result
 
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the change of ρ, shape (n, m), for changes of variables; those of directions have the shape (n, 3)."""
+        """Return the change of the reflectance ρ, shape (n, m), for changes of variables.
+
+        The change of a direction has the shape (n, 3).
+        """
         illumination = self._illumination
         result = np.zeros((len(illumination.lights), len(illumination.wavelengths_nm)))
         others = tuple(name for name in changes if name not in SURFACE)
@@ -202,12 +209,15 @@ class SpectralModel:
         return result
 
     def _factors(self, part: slice) -> NDArray[np.float64]:
-        """Return the products g R for the directions ``part``, shape (n, m), or (n, 1) without a material."""
+        """Return geometry factor times reflectance, g R, for the directions ``part``, shape (n, m).
+
+        Without a material, the shape is (n, 1).
+        """
         gain, cosine = self._illumination.gains(part)
         return np.asarray(gain.value[:, None] * self._illumination.reflectances(cosine.value).value)
 
     def _slopes(self, part: slice, names: tuple[str, ...]) -> Derivatives:
-        """Return the derivatives of ρ for the directions ``part`` with respect to each variable, shape (p, n, m).
+        """Return the derivatives of the reflectance ρ for the directions ``part`` by each variable, shape (p, n, m).
 
         p is the number of elements of the variable.
         """
@@ -254,7 +264,7 @@ class SpectralModel:
         return reflection.IOR_VARIABLES if material is None else reflection.MATERIAL_VARIABLES
 
     def _along(self, slopes: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of ρ, (n, m), for a change ``shapes`` of the matrix Q of the Gaussian weights, (n, 3)."""
+        """Return the change of the reflectance ρ, (n, m), for a change of the matrix Q of the weights, (n, 3)."""
         by_form = slopes[[M_XX, M_XY, M_YY]]
         return np.asarray(np.einsum("pnm,np->nm", by_form, shapes) * self._illumination.falloffs)
 

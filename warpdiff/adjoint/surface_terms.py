@@ -37,6 +37,7 @@ class SurfaceTerms(Protocol):
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
         """Return the adjoint of the surface: the derivative of a scalar loss with respect to heights or vertices.
 
-        ``parts`` has slices of the sites, each with the adjoints of the two results of ``at`` for this slice.
+        ``parts`` has slices of the sites (frequencies), each with the adjoints of the two results of ``at`` for this
+        slice.
         """
         ...

@@ -29,7 +29,7 @@ _SITES_TOGETHER = 8192
 
 @dataclass(frozen=True)
 class _Lattice:
-    """Shape and size of one period of an outline, with the attributes of the protocol ``Periodic``."""
+    """Shape and size of one period of a profile that is given as a polygon, with the attributes of ``Periodic``."""
 
     shape: tuple[int, int]
     size_um: tuple[float, float]
@@ -68,7 +68,7 @@ class Relief:
 
     @property
     def is_outline(self) -> bool:
-        """Whether the surface is an outline."""
+        """Whether the surface is an outline, the polygon of a profile."""
         return isinstance(self.surface, Outline)
 
     @property
@@ -78,7 +78,7 @@ class Relief:
 
     @property
     def variable_shape(self) -> tuple[int, ...]:
-        """Shape of the variable that is the surface itself."""
+        """Shape of the variable that is the surface itself: the heights, or the vertices."""
         return (len(self.surface.heights_um), 2) if self.is_outline else self.shape
 
     @property
@@ -99,7 +99,7 @@ class Relief:
         return int(self.surface.heights_um.size)
 
     def terms(self, sites: Sites, kappas: NDArray[np.float64], count: int) -> SurfaceTerms:
-        """Return the Fourier coefficients at the sites, for the values ``kappas`` of |κ| [1/µm].
+        """Return the Fourier coefficients at the frequencies ``sites``, for the values ``kappas`` of |κ| [1/µm].
 
         For a height field, the coefficients are series of ``count`` terms. For an outline, they are exact.
         """

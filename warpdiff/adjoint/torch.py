@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.linearised import Linearised
 
-# Counter that makes the names of operators unique, as PyTorch requires.
+# Counter that makes the names of PyTorch operators unique, as PyTorch requires.
 _NUMBERS = itertools.count()
 
 

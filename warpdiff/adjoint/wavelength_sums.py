@@ -40,7 +40,7 @@ LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
 
 
 class WavelengthSums:
-    """Colours of directions as sums over sampled wavelengths, with Gaussian weights (lobes) of coefficients.
+    """Colours of directions as sums over sampled wavelengths, with Gaussian weights (lobes) of Fourier coefficients.
 
     Footprints widen the lobes; a footprint is the change of (u, v) over a pixel. The truncation error determines the
     number of wavelengths; directions with similar numbers use the same wavelengths. For a light less than 2° above the
@@ -73,8 +73,8 @@ class WavelengthSums:
                 counts = np.maximum(counts, least)
             undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
             counts = np.minimum(counts, MOST_WAVELENGTHS)
-            # Numbers of wavelengths are rounded up to powers of √2, so that more directions use the same
-            # wavelengths.
+            # The number of wavelengths of a direction is rounded up to a power of √2, so that more directions use the
+            # same wavelengths.
             octaves = np.ceil(2.0 * np.log2(counts / LEAST_WAVELENGTHS)).astype(np.int64)
             self._classes.append([])
             for k in np.unique(octaves).tolist():
@@ -92,14 +92,14 @@ class WavelengthSums:
 
     @property
     def pair_count(self) -> int:
-        """Number of pairs of a direction and a wavelength."""
+        """Number of all pairs of a direction and a wavelength that the colours require."""
         return sum(len(chosen) * count for classes in self._classes for chosen, count in classes)
 
     def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:
         """Yield the pairs of n directions and m wavelengths, in parts that fit into memory.
 
-        Each item is the index of the group, the indices of the directions, the pairs, factors of the sums, shape
-        (n, m), and the weights that sum them to XYZ, shape (m, 3).
+        Each item is the index of the group of directions, the indices of the directions in it, the pairs, the factors
+        by which their sums are multiplied, shape (n, m), and the weights that sum the products to XYZ, shape (m, 3).
         """
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
@@ -115,7 +115,8 @@ class WavelengthSums:
     def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return XYZ of the directions of each group, shape (n, 3).
 
-        ``sums`` is a function of pairs that computes the sum of the weighted powers of each pair.
+        ``sums`` is a function of pairs (a direction and a wavelength). It returns the weighted sum of powers of each
+        pair.
         """
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
@@ -123,16 +124,16 @@ class WavelengthSums:
         return result
 
     def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
-        """Yield pairs in parts, with the adjoints of their sums, from the adjoints of XYZ of each group, (n, 3)."""
+        """Yield pairs (direction, wavelength) in parts with the adjoints of their sums, from those of XYZ, (n, 3)."""
         for index, part, pairs, factors, weights in self.parts():
             yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
     def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the elements xx, xy and yy of two covariance matrices for each direction, shape (n, 3) each.
 
-        The first matrix is the covariance that a coherence window causes in q. The second matrix is the covariance that
-        a light source and the pixel's footprint cause in (u, v). A direction to a light with a z component below
-        ``lowest`` counts as having this z component.
+        The first matrix is the covariance that a coherence window causes in the frequency q = (u, v)/λ. The second
+        matrix is the covariance that a light source and the pixel's footprint cause in (u, v). A direction to a light
+        with a z component below ``lowest`` counts as having this z component.
         """
         count = len(group.gains)
         of_q, of_uv = np.zeros((count, 3)), np.zeros((count, 3))
@@ -165,7 +166,7 @@ class WavelengthSums:
         return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
 
     def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return the pairs of n directions with m wavelengths, and the factors of the sums of these pairs, (n, m)."""
+        """Return the pairs of n directions with m wavelengths, and factors that multiply their sums, shape (n, m)."""
         vectors = group.scattering_vectors
         of_q, of_uv = self._variances(group)
         xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)
@@ -173,8 +174,8 @@ class WavelengthSums:
         forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
         factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
         if group.footprints is not None:
-            # A footprint widens the lobe of a coefficient. The maximum of the lobe becomes lower, so that its integral
-            # is unchanged.
+            # A footprint widens the lobe (Gaussian weight) of a Fourier coefficient. The maximum of the lobe becomes
+            # lower, so that its integral is unchanged.
             own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
             factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
         if group.illuminated.material is not None:

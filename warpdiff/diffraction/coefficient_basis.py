@@ -38,16 +38,16 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Number n of entries in the table of a basis over κ = w/λ, per radian of the phase 2πκ · (height range). A power
-# oscillates at most as fast as this phase. With n entries, the error of cubic interpolation is 3/(128 n⁴), which is
-# 4e-7. Amplitudes oscillate half as fast if heights are measured from the middle of the height range. For amplitudes,
-# the error is therefore 2e-8.
+# Number n of entries in the table of basis functions over κ = w/λ, per radian of the phase 2πκ · (height range). A
+# power oscillates at most as fast as this phase. With n entries, the error of cubic interpolation is 3/(128 n⁴), which
+# is 4e-7. Amplitudes oscillate half as fast if heights are measured from the middle of the height range. For
+# amplitudes, the error is therefore 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of steps in the table of a basis (the shared functions of κ = w/λ). Only shallow surfaces would need
-# fewer steps. Their powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
+# Smallest number of steps in the table of the basis functions of κ = w/λ. Only shallow surfaces would need fewer steps.
+# Their powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
 _FEWEST_STEPS = 64
-# Largest truncation error of the Jacobi-Anger series to which other bases are fitted. The value was chosen as about the
-# rounding error of float32.
+# Largest truncation error of the Jacobi-Anger series to which other basis functions are fitted. The value was chosen as
+# about the rounding error of float32.
 _SERIES_TOLERANCE = 1e-7
 # Truncation error below which no further functions are added to a fitted basis (the functions of κ = w/λ that all
 # coefficients share). The value was chosen as about the rounding error of float32.
@@ -56,22 +56,24 @@ _LEAST_TRUNCATION_ERROR = 1e-7
 # their total weight equals that of all coefficients together. Without this weight, the specular reflection, which is
 # only one of a million coefficients, would hardly affect the fit.
 _STRONGEST_ROWS = 64
-# Number of Fourier coefficients of a height field on which the truncation error of a fitted basis is measured.
+# Number of Fourier coefficients of a height field on which the truncation error of fitted basis functions is measured.
 _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors of coefficients that is reported; 0.1 % of the coefficients may have larger
 # errors.
 _PERCENTILE = 99.9
-# A fit minimises the errors of coefficients relative to the size of each coefficient. This number is the power of the
-# rounding errors of the Fourier transforms, relative to the power of a mirror. A coefficient with a smaller power
-# counts as if it had this power.
+# A fit of basis functions minimises the errors of coefficients relative to the size of each coefficient. This number is
+# the power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A coefficient with a
+# smaller power counts as if it had this power.
 _NOISE_POWER = 1e-26
-# In a fit, errors are divided by |κ| = |w|/λ, because all coefficients except the specular one vanish at κ = 0. The
-# divisor is at least this share of the largest |κ|. With a smaller share, the specular coefficient would lose digits.
+# In a fit of basis functions to Fourier coefficients, errors are divided by |κ| = |w|/λ, because all of them except the
+# specular one vanish at κ = 0. The divisor is at least this share of the largest |κ|. With a smaller share, the
+# specular coefficient would lose digits.
 _SMALL_KAPPA = 0.1
-# Number of coefficients that a fit processes at once. The value is limited by memory, which is proportional to it.
+# Number of Fourier coefficients that a fit of basis functions processes at once. The value is limited by memory, which
+# is proportional to it.
 _CHUNK = 65_536
-# Largest magnitude of the values of a Taylor basis, which is within the range of float32. If |κ| = |w|/λ is too large
-# for the series to converge in float32, larger values occur. They are clipped to this magnitude.
+# Largest magnitude of the basis functions of a Taylor series, which is within the range of float32. If |κ| = |w|/λ is
+# too large for the series to converge in float32, larger values occur. They are clipped to this magnitude.
 _LARGEST = 1e30
 
 
@@ -88,7 +90,7 @@ class Coefficients:
         step: Difference in |κ| of neighbouring entries of ``basis`` [1/µm].
         truncation_errors: Error of a fitted basis with the first n terms, n = 0 … terms: the 99.9th percentile over the
             coefficients. The error of one coefficient is its largest error at any κ in the range, relative to its
-            largest value in the range. Before, errors and values are divided by |κ|, or by κ² for powers. The array is
+            largest value in the range. Errors and values are first divided by |κ|, or by κ² for powers. The array is
             empty for a series, whose error has a known bound.
     """
 
@@ -100,7 +102,7 @@ class Coefficients:
 
     @property
     def terms(self) -> int:
-        """Number of basis functions."""
+        """Number of basis functions of κ = w/λ."""
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -141,7 +143,7 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |w|/λ."""
+    """Return the number of terms of the Jacobi-Anger series to which basis functions are fitted, for a |w|/λ range."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -152,7 +154,7 @@ def of_series(
     heightfield: HeightField, method: str, grid: Grid, block: Block, kappas: tuple[float, float], *, terms: int,
     threads: int,
 ) -> Coefficients:  # fmt: skip
-    """Return the coefficients of a block of frequencies, expanded in one of the series ``EXPANSIONS``.
+    """Return the Fourier coefficients of a block of frequencies, expanded in one of the series ``EXPANSIONS``.
 
     ``kappas`` is the range of |κ| = |w|/λ [1/µm] for which the basis functions are tabulated. ``threads`` is the number
     of Fourier transforms that run in parallel.
@@ -181,8 +183,8 @@ def fitted(
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The coefficients are evaluated at Chebyshev nodes over all |κ| = |w|/λ of the table of the basis. This table and
-    # the nodes extend slightly beyond the required range of |κ|, because extrapolation would be inaccurate.
+    # The coefficients are evaluated at Chebyshev nodes over all |κ| = |w|/λ of the table of basis functions. This table
+    # and the nodes extend slightly beyond the required range of |κ|, because extrapolation would be inaccurate.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)
@@ -241,7 +243,10 @@ def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tupl
 
 
 def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the coefficients of a series at κ = −``kappas``: real and imaginary parts, shape (coefficients, 2, m)."""
+    """Return Fourier coefficients, summed from a series at κ = −``kappas``, shape (coefficients, 2, m).
+
+    The second axis has the real and the imaginary part.
+    """
     expansion = EXPANSIONS["jacobi-anger"]
     argument = -2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * kappas
     basis = expansion.basis(argument, series.terms).T.astype(np.float32)
@@ -272,7 +277,7 @@ def _principal_functions(
 def _truncation_errors(
     sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the truncation error of a basis with 0, 1, 2, … terms.
+    """Return the truncation error of an expansion of Fourier coefficients in the first 0, 1, 2, … basis functions.
 
     The error of a coefficient is its largest error over all κ = w/λ. The truncation error is the percentile
     ``_PERCENTILE`` of the errors of the sampled coefficients.

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Distance from the frequency q of a direction up to which the sum includes Fourier coefficients, in standard deviations
-# of the Gaussian weight of a coefficient. The weight at this distance is e^−32.
+# Distance from the frequency q of a direction up to which the direct sum includes Fourier coefficients, in standard
+# deviations of the Gaussian weight of a coefficient. The weight at this distance is e^−32.
 _WIDTHS = 8.0
-# Peak memory of the sum [bytes], per height sample and per Fourier coefficient. It was derived by adding the sizes of
-# the arrays in the code.
+# Peak memory of the direct sum [bytes], per height sample and per Fourier coefficient. It was derived by adding the
+# sizes of the arrays in the code.
 _BYTES_PER_NUMBER = 64.0
 
 
@@ -42,11 +42,11 @@ def window_power(
     wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the diffracted power ⟨|P|²⟩ of the height field under a window, a source or a number of periods.
+    """Return the diffracted power ⟨|P|²⟩ of the height field under a coherence window, a source or a number of periods.
 
     Args:
         heightfield: Height field, one period of a periodic surface.
-        coherence: Window, source or periods.
+        coherence: Coherence window, light source of finite size, or periods.
         scattering_vectors: Scattering vectors (u, v, w) = −ωi − ωr, shape (n, 3).
         wavelengths_um: Wavelengths [µm], shape (m,).
         to_lights: Unit vectors ωi above the horizon, shape (n, 3); required for a source, which is foreshortened.
@@ -90,9 +90,9 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Largest distances from q, along x and along y, of the coefficients that are summed. For a light source of finite
-    # size, let t be the component of the direction to the light along an axis; otherwise t is 0. The Gaussian weight is
-    # narrower along this axis by the factor √(1 − t²), and so is the largest distance.
+    # Largest distances along x and y of the summed Fourier coefficients from the frequency q of a direction. For a
+    # light source of finite size, let t be the component of the direction to the light along an axis; otherwise t is 0.
+    # The Gaussian weight is narrower along this axis by the factor √(1 − t²), and so is the largest distance.
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -134,12 +134,12 @@ def _falloff(coherence: Coherence, wavelength: float) -> float:
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
     """Return up to which distance in frequency [1/µm] from q = (u, v)/λ the sum includes Fourier coefficients."""
-    # The standard deviation of the weight exp(−a d²) is 1/√(2a).
+    # The standard deviation of the Gaussian weight exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
 
 def _check_orders(heightfield: HeightField, cutoff: float) -> None:
-    """Raise ``MemoryError`` if the sum requires more memory than is free.
+    """Raise ``MemoryError`` if the direct sum requires more memory than is free.
 
     ``cutoff`` is the distance in frequency [1/µm] from a direction up to which Fourier coefficients are summed.
     """

@@ -55,21 +55,21 @@ _BIN = 0.08
 # order. If the number was doubled, only computing time would be lost.
 _SWEEPS = 20
 # Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never
-# converges: too many elements of the matrix are 0, so that no factors give the prescribed sums.
+# converges: too many elements of the matrix of efficiencies are 0, so that no factors give the prescribed sums.
 _MOST_STEPS = 60
-# The factors count as converged if no sum over orders deviates from its prescribed value by more than this number,
-# relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
+# The energy factors count as converged if no sum over orders deviates from its prescribed value by more than this
+# number, relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
 _CONVERGED = 2e-13
-# Largest change of the logarithm of a factor in one step of Newton's method. The value was chosen because the linear
-# equations of a step are not a good approximation for larger changes.
+# Largest change of the logarithm of an energy factor in one step of Newton's method. The value was chosen because the
+# linear equations of a step are not a good approximation for larger changes.
 _LONGEST_STEP = 1.0
 # Number that is added to the diagonal of Newton's equations, relative to the largest element of the diagonal. Without
 # it, the equations would have no unique solution: in each group of orders that exchange no power with other orders, all
 # factors may be multiplied by one number. The value was derived from the rounding error of float64.
 _RIDGE = 1e-15
-# The factors on the grid of directions are balanced by sweeps. `_MOST_GRID_SWEEPS` is the largest number of sweeps.
-# Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the factor. If the factors have
-# not converged, Newton's method continues.
+# The energy factors on the grid of directions are balanced by sweeps. `_MOST_GRID_SWEEPS` is the largest number of
+# sweeps. Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the factor. If the factors
+# have not converged, Newton's method continues.
 _MOST_GRID_SWEEPS, _GRID_CONVERGED = 200, 1e-10
 # The power of a bin of orders is tabulated over |κ|. This number is the number of entries per radian of π|κ| · (height
 # range). The fastest oscillation of a power has twice this phase. Parabolas interpolate between entries.
@@ -99,8 +99,8 @@ _MOST_LIGHTS = 64
 # perfect mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If the value is doubled, the
 # mean error is 3 % larger.
 RISEN = 0.1
-# Smallest sum over orders that is used as a divisor. A sum is smaller only if the power of all propagating orders is
-# zero.
+# Smallest sum of efficiencies over orders that is used as a divisor. A sum is smaller only if the power of all
+# propagating orders is zero.
 _LEAST_SUM = 1e-12
 
 
@@ -112,7 +112,7 @@ class Powers:
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Compute the powers of all bins.
+        """Compute the powers of all bins of neighbouring orders.
 
         Args:
             heightfield: Height field, one period.
@@ -144,14 +144,15 @@ class Powers:
             for first, n, length in zip(starts, counts, heightfield.size_um, strict=True)
         ]
         v, u = np.meshgrid(*places, indexing="ij")
-        # Bins beyond the largest |κ| = 2/λ are dropped. Their orders never propagate, because |(u, v)| is at most 2.
+        # Bins of orders beyond the largest |κ| = 2/λ are dropped. Their orders never propagate, because |(u, v)| is at
+        # most 2.
         reachable = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
         self.frequencies = np.stack([u.ravel()[reachable], v.ravel()[reachable]], axis=1)
         cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
         self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the powers of some bins by their indices ``places``, each at its own |κ| [1/µm] from ``kappas``."""
+        """Return the powers of the bins (of orders) ``places``, each at its own |κ| [1/µm] from ``kappas``."""
         steps = kappas * self._per_kappa
         middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
         t = steps - middle
@@ -169,7 +170,7 @@ def _block_starts(n: int, block: int) -> NDArray[np.int64]:
 
 
 def rise(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the prescribed sum over orders by the cosine of a direction: 0 at the horizon, 1 from `RISEN` on."""
+    """Return the prescribed sum of efficiencies by the cosine of a direction: 0 at the horizon, 1 from `RISEN` on."""
     share = np.minimum(cosines / RISEN, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
@@ -179,7 +180,7 @@ def stam(
 ) -> NDArray[np.float64]:
     """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²), the geometry factor of Stam's efficiencies.
 
-    ``tangential`` is ωi·ωr minus the product of the cosines.
+    w is −(cos θi + cos θr). ``tangential`` is ωi·ωr minus the product of the cosines.
     """
     w = cos_light + cos_view
     return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
@@ -187,7 +188,7 @@ def stam(
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Energy factor a, by which efficiencies are multiplied, as a function of direction and wavelength, on a grid.
+    """Energy factor a, by which efficiencies are multiplied, as a function of direction (on a grid) and wavelength.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
@@ -226,7 +227,7 @@ class AchromaticFactors:
     spread: float
 
     def between(self, lights: NDArray[np.float64], views: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a(ωi) a(ωr) for n pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
+        """Return products of energy factors a(ωi) a(ωr) for n pairs of unit vectors above the horizon, shape (n,)."""
         factors = []
         for directions in (lights, views):
             nodes, weights = grid_weights(directions)
@@ -238,9 +239,9 @@ class AchromaticFactors:
 def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
     """Return the energy factors of a height field for colours, from the cache if possible.
 
-    For a single incident direction, the sum over orders jumps when an order passes the horizon. The factors therefore
-    balance averages over many incident directions and wavelengths. The power of each incident light and of each order
-    is distributed to the nearest nodes of the grid.
+    For a single incident direction, the sum of efficiencies over orders jumps when an order passes the horizon. The
+    factors therefore balance averages over many incident directions and wavelengths. The power of each incident light
+    and of each order is distributed to the nearest nodes of the grid of directions.
     """
     check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
@@ -250,14 +251,14 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # All nodes in the first row of the grid have the same direction, the normal. Their columns of the matrix are
-        # therefore added to one column.
+        # All nodes in the first row of the grid of directions have the same direction, the normal. Their columns of the
+        # matrix are therefore added to one column.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # The weight of a light in the balance is its power on the surface: cos θ times its solid angle. The solid angle
-        # is proportional to sin θ, because the lights are uniform in the polar angle θ.
+        # The weight of a light in the energy balance is its power on the surface: cos θ times its solid angle. The
+        # solid angle is proportional to sin θ, because the lights are uniform in the polar angle θ.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving
@@ -282,8 +283,8 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
     Directions and wavelengths follow the additive recurrence of Roberts (2018) in three dimensions. The density of the
     wavelengths is proportional to the sum of the colour-matching functions under D65. Each direction is accompanied by
-    its mirror direction. If one order reflects nearly all light, the balance determines only the product of the factors
-    of the incident and the outgoing direction. With mirror directions, these two factors become similar.
+    its mirror direction. If one order reflects nearly all light, the energy balance determines only the product of the
+    factors of the incident and the outgoing direction. With mirror directions, these two factors become similar.
     """
     places = (0.5 + np.outer(np.arange(_LIGHTS // 2), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
@@ -295,7 +296,7 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the four grid nodes around unit vectors (n, 3), and their bilinear weights, both of shape (n, 4).
+    """Return the four nodes of the direction grid around unit vectors (n, 3), and their bilinear weights, (n, 4).
 
     The rows of the grid are equally spaced in √(1 − cos θ), which is nearly proportional to θ. In each quadrant, the
     columns are equally spaced in y/(|x| + |y|).
@@ -316,8 +317,8 @@ def _grid() -> NDArray[np.float64]:
     """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # For each column of the grid, x and y are a point on the square |x| + |y| = 1. This inverts the formula of
-    # ``grid_weights``, where the columns are equally spaced in y/(|x| + |y|).
+    # For each column of the grid of directions, x and y are a point on the square |x| + |y| = 1. This inverts the
+    # formula of ``grid_weights``, where the columns are equally spaced in y/(|x| + |y|).
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -362,7 +363,7 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the efficiencies K of n lights into the m nodes of the grid, shape (n, m).
+    """Return the efficiencies K of n lights into the m nodes of the grid of directions, shape (n, m).
 
     The efficiency of each order is distributed to the four nodes around its direction.
     """
@@ -477,10 +478,10 @@ def between(
     views: NDArray[np.float64],
     wavelengths_nm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return a(ωi) a(ωr) for n pairs of directions above the horizon, (n, 3) both, and m wavelengths [nm], (n, m).
+    """Return the products a(ωi) a(ωr) of energy factors for n pairs of directions and m wavelengths [nm], shape (n, m).
 
     For at most ``_MOST_LIGHTS`` different lights, a(ωi) makes the sum over all orders exactly 1. For more lights, a(ωi)
-    is interpolated on the grid.
+    is interpolated on the grid of directions.
     """
     distinct, which = np.unique(lights, axis=0, return_inverse=True)
     powers = Powers(heightfield, 2e3 / float(wavelengths_nm.min()), 0.0) if len(distinct) <= _MOST_LIGHTS else None

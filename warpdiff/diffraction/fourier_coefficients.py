@@ -75,7 +75,7 @@ def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.f
     this division. ``kernel_transform`` is the transform, a function of arguments from −1/4 to 1/4.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
-    # The spectrum is constant along an axis with a single sample, and needs no interpolation there.
+    # The spectrum of the patch is constant along an axis with a single sample, and needs no interpolation there.
     taper = [
         1.0 / kernel_transform((np.arange(n) - n // 2) / m) if n > 1 else np.ones(1)
         for n, m in zip(heightfield.shape, shape, strict=True)
@@ -128,7 +128,7 @@ def series_coefficients(
     taper: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None, threads: int = 1,
     dtype: DTypeLike = np.complex128,
 ) -> NDArray[np.complexfloating]:  # fmt: skip
-    """Return the coefficients F_n[s, r] of the formula in this module's docstring, transformed in float64.
+    """Return the coefficients F_n[s, r] of the series of Fourier coefficients, transformed in float64.
 
     Args:
         heightfield: Height field to transform.

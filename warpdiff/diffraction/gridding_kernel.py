@@ -18,9 +18,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Degree of the polynomials that approximate the kernel. Each interval between two frequencies of the grid has a
-# separate polynomial. With this degree, the error of the polynomials is less than 1e-11 of the maximum of the kernel,
-# which is below the rounding errors of float32.
+# Degree of the polynomials that approximate the Kaiser-Bessel kernel. Each interval between two frequencies of the grid
+# has a separate polynomial. With this degree, the error of the polynomials is less than 1e-11 of the maximum of the
+# kernel, which is below the rounding errors of float32.
 _DEGREE = 12
 
 

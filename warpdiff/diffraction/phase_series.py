@@ -23,11 +23,12 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of terms of a series. A series of 128 terms represents heights over which the phase changes by about 30
-# cycles. The value is limited by memory: the size of a table of coefficients is proportional to the number of terms.
+# Largest number of terms of a series of exp(2πiκh). A series of 128 terms represents heights over which the phase
+# changes by about 30 cycles. The value is limited by memory: the size of a table of coefficients is proportional to the
+# number of terms.
 MAX_TERMS = 128
-# Largest accepted number of cycles by which the phase changes over the height range. The value is limited by memory:
-# tables of coefficients for more cycles are very large.
+# Largest accepted number of cycles by which the phase 2πκh changes over the height range. The value is limited by
+# memory: tables of coefficients for more cycles are very large.
 _MOST_CYCLES = 100.0
 # Largest exponent of e in the error bound of a Taylor series. Larger exponents are replaced by it, because e^710 would
 # overflow float64.

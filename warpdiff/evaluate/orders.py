@@ -342,9 +342,9 @@ def _verdict(
 
 
 def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *, energy: Energy) -> None:
-    """Warn if scalar diffraction is invalid, or if the orders do not sum to the reflected power.
+    """Warn if scalar diffraction is invalid, or if the efficiencies do not sum to the reflected power.
 
-    The orders do not sum to the reflected power if the sum of Stam's efficiencies deviates from it by more than 20 %.
+    The sum of Stam's efficiencies may deviate from it by up to 20 % without a warning.
     """
     worst = float(energy_sums[np.argmax(np.abs(energy_sums - 1.0))])
     if energy == "stam" and abs(worst - 1.0) > _MOST_DEVIATION:
@@ -487,7 +487,7 @@ def _term_count(argument: float) -> int:
 
 
 def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
-    """Warn if orders propagate that the samples cannot represent; the power of these orders aliases to lower orders."""
+    """Warn if orders propagate that the height samples cannot represent; their power aliases to lower orders."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Number of values that are computed together: the number of directions (or pixels) times the number of wavelengths. It
-# is limited by memory: a value requires at most 32 bytes.
+# Number of reflectances that are computed together: the number of directions (or pixels) times the number of
+# wavelengths. It is limited by memory: a value requires at most 32 bytes.
 _VALUES_TOGETHER = 1 << 20
 
 
 class SpectralSum:
-    """Sum over the Fourier coefficients or over the samples of a height field, at the wavelengths of a spectrum.
+    """Reflectance spectra as sums over Fourier coefficients, or over the samples, of a height field.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).

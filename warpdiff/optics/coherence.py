@@ -14,8 +14,8 @@ from warpdiff.core.wording import ArgumentValueError, ref
 
 Kind = Literal["averaged", "centred", "centered", "source", "replicas"]
 KINDS = tuple(kind for kind in get_args(Kind) if kind not in SPELLINGS)
-# Default standard deviation σ of the window [µm]. The value is a convention: a coherence length of 65 µm is interpreted
-# as 4σ. If σ is doubled, the diffraction orders of a grating are half as wide in angle.
+# Default standard deviation σ of the coherence window [µm]. The value is a convention: a coherence length of 65 µm is
+# interpreted as 4σ. If σ is doubled, the diffraction orders of a grating are half as wide in angle.
 DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53

@@ -261,7 +261,7 @@ def quadrature_weights(
 def _interpolation_weights(
     nodes: NDArray[np.float64], points: NDArray[np.float64], masses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return weights of the values of ρ at ``nodes``, for a weighted sum of interpolated values of ρ.
+    """Return weights of values of the reflectance ρ at ``nodes``, for a weighted sum of interpolated values of ρ.
 
     Lagrange polynomials in 1/λ interpolate ρ from the m wavelengths ``nodes`` to the p wavelengths ``points``. The sum
     gives the interpolated values the weights ``masses``, shape (p, 3). The result has the shape (m, 3).
@@ -284,8 +284,8 @@ def _interpolation_weights(
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Add half of each negative weight to each of its two neighbours, and replace the negative weight by 0.
 
-    The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth ρ hardly
-    change.
+    The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth reflectance
+    hardly change.
     """
     for _ in range(_MOST_ROUNDS):
         negative = np.minimum(weights, 0.0)

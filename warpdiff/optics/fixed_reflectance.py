@@ -22,11 +22,11 @@ from warpdiff.optics.materials import Material, reflectance_at
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of cosines of θd from 0 to 1 at which the ratio of luminances is tabulated. The number was chosen because
-# linear interpolation then has an error below 1e-4 for metals.
+# Number of cosines of θd from 0 to 1 at which the ratio of luminances is tabulated; θd is half of the angle between
+# light and view. The number was chosen because linear interpolation then has an error below 1e-4 for metals.
 _COSINES = 257
-# Cosines of θd at which the change of the spectrum with θd is measured. The smallest value was chosen because θd
-# exceeds 60° only if both light and view are near the horizon.
+# Cosines of θd, half of the angle between light and view, at which the change of the reflectance spectrum is measured.
+# The smallest value was chosen because θd exceeds 60° only if both light and view are near the horizon.
 _JUDGED_COSINES = np.linspace(0.5, 1.0, 11)
 
 
@@ -53,17 +53,21 @@ class FixedReflectance(Material):
 
 
 def luminance_ratios(fixed: FixedReflectance) -> NDArray[np.float64]:
-    """Return the luminance of R(θd, λ) under D65 over that of R(0, λ), at equally spaced cos θd from 0 to 1."""
+    """Return the luminance of R(θd, λ) under D65 over that of R(0, λ), at equally spaced cos θd from 0 to 1.
+
+    R is the reflectance at the wavelength λ, and θd half of the angle between light and view.
+    """
     reflectances = reflectance_at(fixed.original, colorimetry.VISIBLE_NM, np.linspace(0.0, 1.0, _COSINES)[:, None])
     luminances = reflectances @ colorimetry.colour_products("D65")[:, 1]
     return np.asarray(luminances / luminances[-1])
 
 
 def spectral_change(material: Material) -> float:
-    """Return by how much the shape of the spectrum R(θd, λ) changes for θd up to 60°, relative to R(0, λ).
+    """Return by how much the shape of the reflectance spectrum R(θd, λ) changes for θd up to 60°, relative to R(0, λ).
 
-    A change by one factor at all wavelengths does not count. For each θd, the result is a root mean square over λ,
-    weighted by luminous efficiency under D65. The largest value of all θd is returned.
+    θd is half of the angle between light and view. A change by one factor at all wavelengths does not count. For each
+    θd, the result is a root mean square over λ, weighted by luminous efficiency under D65. The largest value of all θd
+    is returned.
     """
     reflectances = reflectance_at(material, colorimetry.VISIBLE_NM, _JUDGED_COSINES[:, None])
     weights = colorimetry.colour_products("D65")[:, 1]

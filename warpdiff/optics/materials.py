@@ -309,7 +309,7 @@ def reflectances(
 
 
 def check_covers(material: Material, low_nm: float, high_nm: float, name: str = "material") -> None:
-    """Raise ``ValueError`` if the table of a material, or of its film, does not cover a range of wavelengths."""
+    """Raise ``ValueError`` if the index table of a material, or of its film, does not cover a range of wavelengths."""
     for part in (material, material.film):
         table = np.zeros(1) if part is None else np.asarray(part.wavelengths_nm)
         if part is not None and len(table) > 1 and (low_nm < table[0] or high_nm > table[-1]):
@@ -328,7 +328,7 @@ def index_at(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray
 def _fresnel(
     first: _Complex, second: _Complex, cosine: _Complex, next_cosine: _Complex, polarisation: Polarisation
 ) -> _Complex:
-    """Return Fresnel's amplitude reflectance at the boundary of two media, from their indices and cosines."""
+    """Return Fresnel's amplitude reflectance at a boundary, from index and cosine of the angle in both media."""
     a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
     # The divisor is 0 only for grazing incidence on the boundary between media with equal indices. It is then replaced
@@ -350,7 +350,7 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and the material that it illuminates. Tables and sums over wavelengths have colours per such pair.
+    """An illuminant and the material that it illuminates. Colours are computed for each such pair separately.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.

@@ -40,7 +40,7 @@ def normal_reflectance(ior: object) -> float:
 
 
 def schlick(cosine: NDArray[np.float64], normal: float) -> NDArray[np.float64]:
-    """Schlick's power reflectance R0 + (1 − R0)(1 − cos θ)⁵."""
+    """Schlick's power reflectance R0 + (1 − R0)(1 − cos θ)⁵; R0 is ``normal``, the reflectance at normal incidence."""
     return np.asarray(normal + (1.0 - normal) * (1.0 - cosine) ** 5)
 
 

@@ -130,7 +130,7 @@ def _data_lines(body: str, first_line: int) -> Lines:
 
 
 def _formula(number: str, body: str) -> Table:
-    """Return a table of n from one of the formulas of refractiveindex.info, with the coefficients in the file."""
+    """Return a table of the index n by a formula of refractiveindex.info, with the coefficients in the file."""
     if number not in _FORMULAS:
         raise ValueError(f"formula {number} is not supported: use a table, or formula 1 to 9")
     numbers = {}
@@ -166,9 +166,9 @@ def _range_text(counts: range) -> str:
 def _pair_sum(
     c: NDArray[np.float64], first: int, term: Callable[[float, float], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return the sum of ``term(a, b)`` over pairs (a, b) of consecutive coefficients, from the index ``first`` on.
+    """Return the sum of ``term(a, b)`` over pairs (a, b) of consecutive coefficients of a dispersion formula.
 
-    Pairs with a = 0 contribute nothing.
+    The pairs begin at the index ``first``. Pairs with a = 0 contribute nothing.
     """
     return np.asarray(sum(term(a, b) for a, b in zip(c[first::2], c[first + 1 :: 2], strict=True) if a != 0.0))
 
@@ -280,6 +280,6 @@ def _rows(lines: Lines, columns: list[str]) -> NDArray[np.float64]:
 
 
 def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
-    """Return a table sorted by wavelength. Rows with equal wavelengths are replaced by one row with their mean."""
+    """Return an index table sorted by wavelength. Rows of equal wavelengths are replaced by one row, their mean."""
     wavelengths, place, count = np.unique(um, return_inverse=True, return_counts=True)
     return wavelengths, np.asarray(np.bincount(place, values) / count)

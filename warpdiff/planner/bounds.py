@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Largest error that the truncation of the series may cause in the amplitude of a Fourier coefficient, as a share of the
+# Largest error that the truncation of a series may cause in the amplitude of a Fourier coefficient, as a share of the
 # tolerance. The number was derived as the product of two factors of 0.03. First, errors of luminance are relative to at
 # least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in amplitude. Second, the amplitudes of all
 # diffraction orders may be only 0.03 of the amplitude of the mirror reflection. If the number was doubled, surfaces
@@ -74,7 +74,7 @@ _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 _TYPICAL_SHARE = 0.05
 # While λ runs over the visible range, diffraction orders pass a direction. This number of wavelength samples per order
 # resolves the power of one patch of a replicated surface. The number is for a tolerance of 1. It increases for smaller
-# tolerances, to 25 at 1e-2. It was fitted for random patches of gratings with nano-fingers (``gratings.fingers``) under
+# tolerances, to 25 at 1e-2. It was fitted for random patches of ``gratings.fingers`` (a synthetic snake skin) under
 # illuminants from D65 to HP1. If it was halved, the error would be 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
 # Largest number of wavelengths that are sampled to compute a colour. The value is limited by computing time, which is
@@ -165,7 +165,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with the number of wavelengths that its ``bandwidth_um`` requires.
+    """Return the plan with the number of wavelengths that its bandwidth (samples per unit of 1/λ) requires.
 
     For a source (light of finite size) near the horizon, the number is limited, and the plan is valid only up to a
     smaller order rate.

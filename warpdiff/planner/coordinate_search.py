@@ -158,12 +158,12 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
 
 
 def _cost(plan: Plan, trial: Trial) -> float:
-    """Return the predicted cost of a plan [multiply-adds per direction]."""
+    """Return the predicted cost of evaluating directions by a plan [multiply-adds per direction]."""
     return cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates)
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all that exist.
+    """Return the plan with more series terms: as many as fill ``registers`` further SIMD registers, or all that exist.
 
     With a negative ``registers``, the plan gets fewer terms.
     """
@@ -269,14 +269,14 @@ def _scaled(
 ) -> tuple[float, float, float]:
     """Return the bandwidth (a, b, c) times factors: (a · ``rate_factor``, b · ``rest_factor``, c · ``rest_factor``).
 
-    ``bounds.bandwidth_um`` defines a, b and c.
+    The bandwidth states how many wavelength samples a direction requires; ``bounds.bandwidth_um`` defines a, b and c.
     """
     per_rate, per_w, constant = bandwidth_um
     return rate_factor * per_rate, rest_factor * per_w, rest_factor * constant
 
 
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
-    """Return the plan with the bandwidth ``bandwidth_um`` and the number of wavelengths that it requires."""
+    """Return the plan with a new bandwidth (wavelength samples per unit of 1/λ) and its number of wavelengths."""
     per_rate, per_w, constant = bandwidth_um
     # If a light source of finite size is near the horizon, the number of wavelengths is limited, and the plan is valid
     # only up to a certain order rate (how fast orders pass a direction as 1/λ changes). With a smaller bandwidth, the

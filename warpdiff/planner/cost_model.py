@@ -1,4 +1,4 @@
-"""Cost model: predicted multiply-adds of sampled wavelengths, of table look-ups and of the construction of a table.
+"""Cost model: predicted multiply-adds of sums over wavelengths, of look-ups in colour tables and of making such tables.
 
 A plan holds the numbers of a computation, such as the number of wavelengths. A table holds the colours of a surface,
 sampled over (u, v), from which look-ups interpolate. Operations that are not multiply-adds count as the number of
@@ -36,13 +36,14 @@ SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
 # cost is per wavelength, or per sample of the interference factor of replicated patches. The second cost is per term of
 # the series in which a coefficient is expanded, and the same cost is added per coefficient. Both were fitted to times.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
-# Cost of sampling the spectrum for a table [multiply-adds], in addition to the products of the sum over Fourier
-# coefficients. The cost is per sample of the spectrum. For a source, whose spectrum is a sum of lines, it is per
-# spectral line. It was fitted to times.
+# Cost of sampling the power spectrum of a surface for a colour table [multiply-adds], in addition to the products of
+# the sum over Fourier coefficients. The cost is per sample of the spectrum. For a source, whose spectrum is a sum of
+# lines, it is per spectral line. It was fitted to times.
 _COST_OF_SAMPLE = 150.0
-# Costs of computing a table from the spectrum [multiply-adds]. The first cost is for filtering and writing one number
-# of the table. The second cost is for one product in the conversion (projection) of the spectrum to colours. It is
-# below 1, because the loop of the projection uses SIMD instructions only. Both were fitted to times.
+# Costs of computing a colour table from the power spectrum of a surface [multiply-adds]. The first cost is for
+# filtering and writing one number of the table. The second cost is for one product in the conversion (projection) of
+# the spectrum to colours. It is below 1, because the loop of the projection uses SIMD instructions only. Both were
+# fitted to times.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
@@ -107,7 +108,7 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the sampled spectrum has about one number per basis function (term). If amplitudes of Fourier
+    # A row of the sampled power spectrum has about one number per basis function (term). If amplitudes of Fourier
     # coefficients add, it has two numbers per term. A table needs about as many functions of w (the normal component of
     # the scattering vector) as such a row has numbers, and stores X, Y and Z for each function.
     powers = parts * plan.terms

@@ -44,8 +44,8 @@ _PATCH_IN_SIGMAS = 20.0
 # to it.
 _MOST_SAMPLES = 2_000_000
 # The directions of a call may exceed the range of a plan that the caller passes by this relative amount without a
-# warning. Such an excess is harmless, because coefficients are computed for a range that exceeds the range of the plan
-# by more than this amount.
+# warning. Such an excess is harmless, because Fourier coefficients are computed for a range that exceeds the range of
+# the plan by more than this amount.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",
@@ -214,9 +214,9 @@ def warn_outside(
         # |(u, v)|, and the lines above compare |(u, v)|.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
-        # A fitted basis is valid only if |w|/λ is at least the product of the smallest |w| and the smallest 1/λ of its
-        # plan. A call must therefore not have a smaller 1/λ than the plan. The smallest |w| of the call is not compared
-        # with that of the plan, because renderers always report 0 for it.
+        # Basis functions that are fitted to Fourier coefficients are valid only if |w|/λ is at least the product of the
+        # smallest |w| and the smallest 1/λ of its plan. A call must therefore not have a smaller 1/λ than the plan. The
+        # smallest |w| of the call is not compared with that of the plan, because renderers always report 0 for it.
         numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"

@@ -52,11 +52,12 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Typical cost of the upper-bound plan, divided by the cost of the plan that a search finds, for each kind of coherence.
-# The numbers were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
+# Typical cost of evaluating directions by an upper-bound plan, divided by the cost by the cheaper plan that a search
+# finds, for each kind of coherence. The numbers were fitted: they are medians of 32 random calls
+# (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search, expressed as a number of directions. In the time of a search, the plan that it finds could evaluate
-# this number of directions. The number was fitted to 32 random calls.
+# Cost of a search for a cheap plan, expressed as a number of directions. In the time of a search, the plan that it
+# finds could evaluate this number of directions. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
 # If the caller selects a method that adds powers, a trial (an evaluation of sampled directions) measures the rounding
 # error of this method in float32. The trial is made only for calls with at least this number of directions. The number
@@ -208,12 +209,12 @@ def _method(request: Evaluation) -> str:
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether pixels show means over footprints (ranges of (u, v)) that a table with mip levels can compute."""
+    """Whether pixels show means over footprints (ranges of (u, v)) that a colour table with mip levels can compute."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
 def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
-    """Return the largest cost [multiply-adds] at which a table saves time for ``count`` directions; 0 for no table.
+    """Return the largest cost [multiply-adds] at which a colour table saves time for ``count`` directions; 0 for none.
 
     A colour table saves time if it costs less than the evaluation of the directions by the plan of a search. The result
     is infinite if the caller requests a table, or means over the ranges of (u, v) of pixels, which a table computes.
@@ -234,7 +235,7 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
-    """Whether a search saves more time than it requires, or is necessary because the upper-bound plan fails."""
+    """Whether a search for a plan saves more time than it requires, or is necessary as the upper-bound plan fails."""
     # For a source near the horizon, the number of wavelengths of the upper-bound plan is limited. With too few
     # wavelengths, the plan misses orders, and a search must find another plan.
     if upper.max_order_rate < direction_range.max_order_rate:
@@ -247,7 +248,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """Return the upper-bound plan with its number of terms, its aliasing and its mean cost, without measured errors."""
+    """Return the upper-bound plan with its number of terms, aliased power and mean cost, without measured errors."""
     if _method(request) == "auto":
         # Without a trial, a method that adds amplitudes is selected, because series of powers may lose their digits in
         # float32. Trials are omitted only if a call has few directions. For few directions, methods that add amplitudes
@@ -282,7 +283,7 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
 def _measured(
     request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan, affordable: float
 ) -> Plan:
-    """Return the plan of a search, with or without a colour table, or the upper-bound plan if all directions are dark.
+    """Search a plan, with or without a colour table; return the upper-bound plan if all directions are dark.
 
     ``affordable`` is the largest cost of a table [multiply-adds]; 0 excludes tables.
     """

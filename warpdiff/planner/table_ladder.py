@@ -28,19 +28,20 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# A search first tries the smallest table whose expected error is at most this share of the tolerance. The share was
-# fitted to the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first
-# table would miss the tolerance in half of the calls, and another table would have to be computed.
+# A search for the smallest sufficient colour table first tries the smallest one whose expected error is at most this
+# share of the tolerance. The share was fitted to the planning times of 32 calls
+# (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first table would miss the tolerance in half of
+# the calls, and another table would have to be computed.
 _FIRST_SHARE = 0.35
-# A search tries a larger table only if the present table has reduced the error enough: to at most this number times the
-# least error of the tables before. In addition, the present error must be at most twice the error that the order of
-# convergence predicts. The number must exceed 0.6, because the smallest step of the table size, to 1.3 times as many
-# rings, reduces the error to 0.6 times its value.
+# A search for a colour table tries a larger one only if the present table has reduced the error enough: to at most this
+# number times the least error of the tables before. In addition, the present error must be at most twice the error that
+# the order of convergence predicts. The number must exceed 0.6, because the smallest step of the table size, to 1.3
+# times as many rings, reduces the error to 0.6 times its value.
 _HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
-    """Return a plan with the smallest table whose validation error is within the target, or with the best table.
+    """Return a plan with the smallest colour table whose validation error meets the target, or with the best table.
 
     The target is the tolerance divided by ``SEARCH_SAFETY``. The search computes a table of each size that it tries.
     These tables stay in the cache, and the call that follows uses the last one. The result is None if no table was
@@ -56,9 +57,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # The table of a light source of finite size excludes directions near the mirror direction. These directions are
-        # computed by sampled wavelengths. For them, the plan needs the same least weight of Fourier coefficients as the
-        # reference plan.
+        # The colour table of a light source of finite size excludes directions near the mirror direction. These
+        # directions are computed by sampled wavelengths. For them, the plan needs the same least weight of Fourier
+        # coefficients as the reference plan.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
@@ -75,8 +76,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # If the caller requests a table and the first size is too large or too costly, the search tries the next
-            # smaller size.
+            # If the caller requests a colour table and the first size is too large or too costly, the search tries the
+            # next smaller size.
             size -= 1
             continue
         if best is None:
@@ -126,7 +127,7 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
-    """Return the plan of a table with the errors and costs that are predicted for this table.
+    """Return the plan of a colour table with the errors and costs that are predicted for this table.
 
     The errors are predicted from ``error``, which a trial has measured on the validation set. ``table_cost`` is the
     cost of computing the table [multiply-adds].

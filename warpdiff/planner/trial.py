@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Safety factor. A plan is accepted if its error on the validation set is at most the tolerance divided by this factor.
-# The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred, the error over all directions
-# exceeds the error on the validation set by more than this factor.
+# Safety factor. A plan (numbers of a computation) is accepted if its error on the validation set is at most the
+# tolerance divided by this factor. The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred,
+# the error over all directions exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
 # If a call has more directions than candidates (sampled directions of the call), this number of the brightest
 # candidates may be outliers. Relative errors have a smallest divisor, which is proportional to the luminance of bright
@@ -50,14 +50,16 @@ _LUCKY_BRIGHTEST = 4
 # Least luminance that counts as light, as a share of the luminance of a perfect mirror. Light with a smaller luminance
 # is invisible.
 DARK = 1e-10
-# An error of the reference plan, or of a fitted basis, is neglected if it is below this share of the tolerance. The
-# share was chosen so that such an error is small compared with the errors that a trial measures.
+# An error of the reference plan, or of basis functions that are fitted to Fourier coefficients, is neglected if it is
+# below this share of the tolerance. The share was chosen so that such an error is small compared with the errors that a
+# trial measures.
 NEGLIGIBLE_SHARE = 1e-2
-# Method of the reference plan. It expands the amplitudes of Fourier coefficients in a series. In float32, amplitudes
-# are accurate even for coefficients that vanish like a high power of κ = w/λ. Series of powers are not accurate there.
+# Evaluation method of the reference plan, against which errors are measured. It expands the amplitudes of Fourier
+# coefficients in a series. In float32, amplitudes are accurate even for coefficients that vanish like a high power of κ
+# = w/λ. Series of powers are not accurate there.
 REFERENCE_METHOD = "jacobi-anger"
-# Largest number of wavelengths at which a trial evaluates a spectrum. The value is limited by time, which is
-# proportional to it.
+# Largest number of wavelengths at which a trial (a test of plans) evaluates a spectrum. The value is limited by time,
+# which is proportional to it.
 _SPECTRAL_SAMPLES = 64
 
 
@@ -254,10 +256,10 @@ class Trial:
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Compute the values of a group of directions by a plan.
+        """Compute the colours or spectra of a group of directions by a plan.
 
-        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape
-        (1, n·m, 1).
+        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape (1, n·m,
+        1).
         """
         arrays = group.scattering_vectors, group.to_lights, group.gains
         # The directions are divided into two slices per thread, so that all threads end at about the same time.
@@ -298,7 +300,7 @@ class Trial:
         return dataclasses.replace(plan, w_basis_size=max(counts))
 
     def most_terms(self, plan: Plan) -> int:
-        """Return the largest number of terms that a plan can use with its method."""
+        """Return the largest number of terms of a Fourier coefficient's expansion that a plan's method can use."""
         if plan.method == self.reference.method:
             return self.reference.terms
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
@@ -366,9 +368,9 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
-    A direction is bright if its luminance is at least the floor of relative errors, and otherwise dim.
-    ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative errors. The
-    result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
+    A direction is bright if its luminance is at least the floor (the smallest divisor of relative errors), and
+    otherwise dim. ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative
+    errors. The result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
     """
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     # The tolerance limits the 99th percentile of the errors of all directions of a call. Percentiles of a small sample

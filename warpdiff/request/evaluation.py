@@ -79,7 +79,7 @@ class Evaluation:
         illuminants: tuple[colorimetry.Illuminant, ...] = (), wavelengths_nm: NDArray[np.float64] | None = None,
         by_geometry: bool = False, footprint: bool = False,
     ) -> Evaluation:  # fmt: skip
-        """Resolve checked settings for a height field.
+        """Resolve the checked settings of a call for a height field: replace None by the defaults.
 
         ``by_geometry`` states whether the setting ``material`` may be a mapping from the names of a mesh's geometries
         to materials.

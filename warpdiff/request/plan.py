@@ -36,8 +36,8 @@ LABELS = {
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
 # Measured speeds of one CPU core [multiply-adds per second]. The first speed is for sums over wavelengths and for the
-# computation of tables. The second speed is for table look-ups, which the memory slows down. The speeds convert
-# predicted costs to the times that a plan reports.
+# computation of colour tables. The second speed is for look-ups in them, which the memory slows down. The speeds
+# convert predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Smallest and largest number of rings of a colour table per octave of |(u, v)|. A ring is a circle of samples around
 # (u, v) = 0, and an octave is a factor of 2.
@@ -225,7 +225,7 @@ class Plan:
 
     @property
     def table_seconds(self) -> float:
-        """Estimated time to make the table [s] on one CPU core, once for all calls; 0 without a table."""
+        """Estimated time to make the colour table [s] on one CPU core, once for all calls; 0 without a table."""
         return self.table_multiply_adds / _SUMMED_PER_SECOND
 
     @property
@@ -426,7 +426,7 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether colour tables can be computed from an expansion under a coherence.
+    """Whether colour tables can be computed from an expansion of exp(2πiκh) under a coherence of the light.
 
     Tables exist if the coefficients that the expansion provides are added in the way that the coherence requires:
     powers for averaged windows and light sources, amplitudes for centred windows. Replicated periods have no table.

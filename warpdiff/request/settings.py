@@ -279,7 +279,7 @@ class SinglePictureSettings(PictureSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class ColourSettings(Checked):
-    """Options of every function that shows colours, besides the display transform itself.
+    """Options of every function that shows colours, except the choice of the display transform.
 
     Attributes:
         exposure: Linear factor of the light. None computes it from the mean luminance of the pixels that are not black;
@@ -299,7 +299,7 @@ class ColourSettings(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class GamutSettings(ColourSettings):
-    """Options of ``Image.display``, besides the display transform itself.
+    """Options of ``Image.display``, except the choice of the display transform.
 
     Attributes:
         gamut: Gamut of the display.

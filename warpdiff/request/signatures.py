@@ -57,7 +57,7 @@ def accepts(settings: type) -> Callable[[Function], Function]:
 
 
 def checked(function: Function) -> Function:
-    """Return ``function`` with a check of its arguments: their names, and their values by the annotations."""
+    """Return ``function`` with a check of its arguments: their names, and whether their values fit the annotations."""
     signature, name = inspect.signature(function), function.__qualname__
 
     @functools.wraps(function)

@@ -25,7 +25,7 @@ class Surface(Checked):
     Attributes:
         heightfield: Height field, whose x axis lies along the tangents of the mesh, or a map of its turned and scaled
             copies.
-        coherence: Coherence: a window, a light source or a number of periods. For a map without any,
+        coherence: Coherence: a window, a light source or a number of periods. A map without a coherence uses
             ``Coherence("source")``.
         material: Material of the surface. None uses ``ior`` if that is not None, else the material of the call.
         ior: Index of refraction; ``math.inf`` is a perfect mirror.
