@@ -14,8 +14,8 @@ CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
 CONTRAST_OF_TEXTURE = wp.constant(wp.float32(refinement_levels.CONTRAST_OF_TEXTURE))
-# Least roughness by which differences of roughness are divided. The value was chosen because surfaces with smaller
-# roughnesses look alike in a picture.
+# The difference of roughness between two pixels is divided by the roughness, or by this number if it is larger. The
+# value was chosen because surfaces with smaller roughnesses look alike in a picture.
 LEAST_ROUGHNESS = wp.constant(wp.float32(0.05))
 # Largest relative change of colour that textures cause. The value is limited by float32: its square times the square of
 # a colour must be finite.
@@ -33,9 +33,9 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected error of a pixel, divided by its contrast: its largest colour difference to a neighbour.
+    """Return the expected ratio of a pixel's error to its contrast, the largest colour difference to a neighbour.
 
-    The quotient depends on the changes of (u, v) between the pixel and its neighbours.
+    The ratio is predicted from the changes of (u, v) between the pixel and its neighbours.
     """
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
@@ -84,9 +84,9 @@ def map_change(
     metallic_roughness: wp.array(dtype=wp.vec4f), emission: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32),
     row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32,
 ) -> wp.float32:  # fmt: skip
-    """Return the largest relative change of colour that differences of the textures of plain surfaces may cause.
+    """Return the largest relative change of colour to a neighbouring pixel that textures of plain surfaces may cause.
 
-    The peak of a highlight is proportional to roughness⁻⁴, and its change is four times that of the roughness.
+    The peak of a highlight is proportional to roughness⁻⁴. Its relative change is four times that of the roughness.
     """
     own = metallic_roughness[row * width + column]
     emitted = emission[row * width + column]

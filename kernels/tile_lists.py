@@ -66,7 +66,7 @@ def count_marks(
     run: wp.int32,
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the pixels whose mark is not 0."""
+    """Count the pixels whose colours depend on subpixel cells, which are those with a mark other than 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks[i] != wp.uint8(0):
             atomic_increment(counts_out, 0)
@@ -78,7 +78,7 @@ def running_max(
     begins: wp.bool,
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Set the output to a count if the count exceeds the output. If ``begins`` is true, set it in any case."""
+    """Replace the output by a count of pixels if the count is larger, or in any case if ``begins`` is true."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -124,7 +124,7 @@ def compact_level(
     levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """List the pixels whose level is ``level``.
+    """List the pixels whose refinement level is ``level``.
 
     The order of the pixels is arbitrary, because tiles (subdivided pixels) do not depend on each other.
     """

@@ -12,8 +12,9 @@
 
 namespace warpdiff {
 
-// Number of values that `differentiate_lobe` writes per pair of a direction and a wavelength: derivatives with respect
-// to q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
+// Number of values that `differentiate_lobe` writes for a weighted sum of Fourier coefficients: the derivatives with
+// respect to the centre (q_x, q_y) of the weights, their matrix (M_xx, M_xy, M_yy), the argument x of the Chebyshev
+// series, and the lengths L_x and L_y of the patch; two sums with the orders r and s as further factors; the sum.
 constexpr int LOBE_DERIVATIVES = 11;
 
 // Compute the first `count` Chebyshev polynomials at x.
@@ -56,7 +57,7 @@ struct Lobe {
         step_x = table.step_x, step_y = table.step_y, exponent = table.exponent;
     }
 
-    // Find the rows and columns of the block that contain coefficients with weights that are not negligible.
+    // Find the rows and columns of the block of Fourier coefficients in which weights are not negligible.
     template <class Table>
     WARPDIFF_INLINE void find_range(const Table& table)
     {
@@ -123,7 +124,8 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
     return sum;
 }
 
-// Compute the derivatives of the sum of a pair (a direction and a wavelength), in the order of `LOBE_DERIVATIVES`.
+// Compute the derivatives of the weighted sum of Fourier coefficients for a pair of a direction and a wavelength, in
+// the order in which `LOBE_DERIVATIVES` has them.
 template <int MOST_TERMS, class Table, class Pairs, class Values>
 WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
 {
@@ -161,7 +163,8 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
     for (int k = 0; k < LOBE_DERIVATIVES; ++k) out[k] = sums[k];
 }
 
-// Write the values of the Chebyshev polynomials of a pair (a direction and a wavelength), which `spread_lobes` uses.
+// Write the values of the Chebyshev polynomials at the κ = w/λ of a pair of a direction and a wavelength. The function
+// `spread_lobes` uses these values.
 template <class Table, class Pairs>
 WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, int pair)
 {

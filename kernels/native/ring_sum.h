@@ -14,17 +14,18 @@
 
 namespace warpdiff {
 
-// Number of azimuths that are processed together. The value is limited by the number of elements of a SIMD vector.
+// Number of azimuths (samples along a ring of the colour table) that are processed together. The value is limited by
+// the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
 // Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
 // directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
 // values are limited by time: a larger distance adds more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// Not all rings of the table are added. The distance between added rings has two upper limits. `RINGS_APART` is the
-// limit in ln |(u, v)|, because colours are smooth over this distance. `RINGS_PER_DEVIATION` is the limit in standard
-// deviations of the Gaussian in the direction of (u, v). The distance is doubled for rings whose radius is below
-// `WITHIN` times the smaller standard deviation. If the distance was doubled everywhere, sums over narrow Gaussians
-// would be inaccurate.
+// The colour of a footprint, a Gaussian over (u, v), is a sum over some rings (circles) of the colour table. Two limits
+// apply to the distance between added rings: `RINGS_APART` in ln |(u, v)|, over which colours are smooth, and
+// `RINGS_PER_DEVIATION` in standard deviations of the Gaussian in the direction of (u, v). The distance is doubled for
+// rings whose radius is below `WITHIN` times the smaller standard deviation. If it was doubled everywhere, sums over
+// narrow Gaussians would be inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Smallest radius |(u, v)| of the rings that are added. It is the smaller of two products: `INNERMOST` times the
 // smaller standard deviation of the footprint's Gaussian, and `INNERMOST_OF_LOBE` times the standard deviation of the

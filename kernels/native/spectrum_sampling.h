@@ -121,8 +121,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Integrals of the spectrum under the splines of three consecutive rings: a sample of the spectrum contributes to three
-// integrals. The integrals remain in registers while the sampling proceeds from ring to ring.
+// Integrals of the spectrum, weighted by the splines of three consecutive rings (circles of constant frequency). A
+// sample contributes to three integrals, which remain in registers while the sampling proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
@@ -134,8 +134,8 @@ struct SplineSums {
         behind.clear();
     }
 
-    // Add a sample of the spectrum to the integrals of three rings. `f` is the distance of the sample from the middle
-    // ring, in units of the distance between rings.
+    // Add a sample of the spectrum to the integrals of three rings (circles of constant frequency). `f` is the distance
+    // of the sample from the middle ring, in ring spacings.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
