@@ -19,7 +19,7 @@ ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def texture_contrast(base, colours, hit, near, place):
-    """Return the part of the contrast of a pixel to its neighbours that is caused by the base colour.
+    """Return the part of a pixel's contrast (colour difference to its neighbours) that the base colour causes.
 
     The part is the norm of the pixel's own colour times the largest relative change of the base colour to a neighbour.
     """
@@ -30,7 +30,7 @@ def texture_contrast(base, colours, hit, near, place):
 
 
 def map_contrast(maps, colours, hit, near, own):
-    """Return the part of a pixel's contrast that is caused by changes of metallic, roughness and emission."""
+    """Return the part of a pixel's contrast that textures cause by changes of metallic, roughness and emission."""
     metallic, roughness, emission = maps
     changes = [
         4.0 * abs(roughness[place] - roughness[own]) / max(roughness[own], 0.05)

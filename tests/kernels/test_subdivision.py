@@ -205,10 +205,9 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
 
 
 def test_shares_of_the_filter_are_integrals_of_a_truncated_gaussian():
-    """The shares of the pixel filter must be integrals of a truncated Gaussian over three pixels: a pixel and its
-    neighbours on both sides.
+    """The shares of the pixel filter in a pixel and in its two neighbours must be integrals of a truncated Gaussian.
 
-    The Gaussian is truncated at 1.5 pixels.
+    The Gaussian is truncated at 1.5 pixels from its centre.
     """
     place = (np.arange(3000) + 0.5) / 1000.0 - 1.5
     values = np.exp(-0.5 * (place / refinement_levels.FILTER_SIGMA) ** 2).reshape(3, 1000).sum(axis=1)

@@ -92,7 +92,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours on the rings of an octave: the spectrum, converted by a matrix, times a factor per ring.
+    """Summand of the colours on the rings of one octave: the spectrum, converted by a matrix, times a factor per ring.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -246,9 +246,9 @@ def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd.
+    """Return ratios of a material's reflectance to its reflectance at one angle θd, at Chebyshev nodes of cos θd.
 
-    The colour curves include the reflectance at one angle θd.
+    θd is half of the angle between light and view. The colour curves include the reflectance at the one angle.
     """
 
     def at_roots(count: int) -> NDArray[np.float64]:
@@ -267,12 +267,12 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
 @functools.lru_cache(maxsize=64)
 def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
-    """Return the coefficients of splines that are fitted to the colour curves.
+    """Return the coefficients of splines that are fitted to illuminant times colour-matching functions times material.
 
     Args:
         rings: Number of rings per octave of the table.
         illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
-        lines: Whether rows of the spectrum are powers per unit area of frequency, as ``holds_lines`` of
+        lines: Whether rows of the power spectrum are powers per unit area of frequency, as ``holds_lines`` of
             :class:`SpectrumBasis` states.
 
     Returns:
@@ -283,8 +283,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must give the exact colour of white, up to rounding. The weights of the rings are scaled
-    # so that it does.
+    # A constant power spectrum must have the exact colour of white, up to rounding. The weights with which the rings of
+    # the spectrum contribute to a colour are scaled accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 

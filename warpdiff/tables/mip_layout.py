@@ -42,8 +42,8 @@ _LINE_BLUR_SPACINGS = 0.8
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur that a mip level adds to level 0, as an angle of azimuth [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Largest number of azimuth samples of a ring. Larger numbers, which would overflow 64-bit integers, are replaced by it.
-# A table with so many samples is refused later, by a ``MemoryError``.
+# Largest number of azimuth samples of a table's ring (circle). Larger numbers, which would overflow 64-bit integers,
+# are replaced by it. A table with so many samples is refused later, by a ``MemoryError``.
 _MOST_AZIMUTHS = 2.0**60
 
 
@@ -146,7 +146,7 @@ class MipLayout:
 
     @property
     def rows(self) -> int:
-        """Total number of rows, including the azimuth samples that are repeated at both ends of each ring."""
+        """Total number of rows of the table, including azimuth samples that are repeated at both ends of each ring."""
         return sum(self._row_counts)
 
     @property

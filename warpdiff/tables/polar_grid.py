@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.plan import Plan
 
-# Smallest number of azimuth samples of a ring of a table.
+# Smallest number of azimuth samples of a ring (circle of constant |(u, v)|) of a colour table.
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
@@ -144,7 +144,7 @@ def ring_count(rings_per_octave: int) -> int:
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a table's colours; ``few_orders`` is for few, separate diffraction orders."""
+    """Return the typical error of a colour table; ``few_orders`` states that few, separate orders contribute to it."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
