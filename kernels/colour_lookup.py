@@ -41,9 +41,9 @@ BATCH = 256
 # While a direction is looked up, the table rows of the direction with an index larger by this number are fetched from
 # memory. The value was chosen freely, because other numbers change only the computing time.
 _AHEAD = 3
-# Number of azimuth samples on each side from which the filter computes the spline coefficient of an azimuth sample. A
-# sample at a distance of n has the weight √2 · (−0.17)ⁿ. The value was chosen so that the weights of samples farther
-# away, which are omitted, are at most 6e-6.
+# A filter converts the azimuth samples of a ring to coefficients of the spline through them. Each coefficient is a
+# weighted sum of this number of samples on each side. A sample at a distance of n has the weight √2 · (−0.17)ⁿ. The
+# value was chosen so that the weights of samples farther away, which are omitted, are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
@@ -192,7 +192,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, source: wp.int32, level: wp.int32, octave: wp.int32, first: wp.int32, run: wp.int32,
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
+        """Compute the colours of a mip level at its azimuths (polar angles) by a Gaussian blur of a finer level.
 
         The spline that look-ups use between azimuths is itself a blur. Its variance is a quarter of the squared
         distance between azimuths.

@@ -203,7 +203,7 @@ def add_light_rotation(
     deviation: wp.float32, first: wp.int32, run: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Add to footprints the change of (u, v) within a pixel because the direction to a point light changes there."""
+    """Add to footprints the change of (u, v) that the varying direction to a point light causes within a pixel."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
     back = wp.vec3f(camera.axes[3])

@@ -54,7 +54,7 @@ def luminance_floor(
     while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
         left -= wp.float32(histogram[GROUPS + place])
         place -= 1
-    # The percentile is estimated as the luminance in the middle of the bin in which it lies.
+    # The percentile of the luminance is estimated as the middle of the histogram's bin in which the percentile lies.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
     floor_out[0] = wp.max(FLOOR * bright, TINY)
 
@@ -139,7 +139,7 @@ def copy_batch(
     first: wp.int32, run: wp.int32,
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Copy the next pixels of a list to the batch of pixels whose cells are computed next.
+    """Copy the next pixels of a list to the batch of pixels whose subpixel cells are computed next.
 
     If the list is too short, the remaining entries of the batch are −1.
     """

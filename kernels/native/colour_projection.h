@@ -121,10 +121,10 @@ struct FunctionVectors {
     }
 };
 
-// Compute the colour at one ring on AZIMUTHS azimuths as a weighted sum over `taps` rows of the spectrum. A matrix
-// converts the terms of a row to coefficients of the basis functions of w, the normal component of the scattering
-// vector; each row has its own matrix, the same for all azimuths. The weights of the rows for X, Y and Z are in
-// `colour`. The rows of neighbouring azimuths are `apart` floats from each other in memory.
+// Compute the colours at one ring (circle) on AZIMUTHS azimuths (polar angles): weighted sums over `taps` rows of the
+// spectrum. A matrix converts the terms of a row to coefficients of the basis functions of w, the normal component of
+// the scattering vector; each row has its own matrix, the same for all azimuths. The weights of the rows for X, Y and Z
+// are in `colour`. The rows of neighbouring azimuths are `apart` floats from each other in memory.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
@@ -163,8 +163,8 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum per azimuth. The first `skipped` rows
-// belong to rings before the ring of the first colour.
+// Compute colours along AZIMUTHS azimuths (polar angles) from `length` rows of the spectrum per azimuth, one per ring
+// (circle). The first `skipped` rows belong to rings before the ring of the first colour.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

@@ -70,9 +70,9 @@ struct Lobe {
         last_row = within(qy / step_y + reach_y, table.first_row, table.rows, 0);
     }
 
-    // Round a position up or down to a coefficient, and return its index in the block, from 0 to `count` − 1. If the
-    // lower end of a range of indices is beyond the block, the result is `count`. If the upper end of the range is
-    // before the block, the result is −1. The range is then empty.
+    // Round the end of a range of frequencies to a Fourier coefficient of the block. Return the index of its row or
+    // column, from 0 to `count` − 1. If the lower end of the range is beyond the block, the result is `count`. If the
+    // upper end of the range is before the block, the result is −1. The range is then empty.
     static WARPDIFF_INLINE int within(double position, int first, int count, int up)
     {
         const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;

@@ -198,7 +198,7 @@ struct AroundRing {
         weights[3] = t * t * t / 6.0;
     }
 
-    // Return the index of the row of values at azimuth sample j, where j is 0 to 3.
+    // Return the index of the table row with the spectrum at azimuth sample j, where j is 0 to 3.
     WARPDIFF_INLINE long long row(int j) const
     {
         const int azimuth = first + j;
@@ -225,7 +225,8 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights in X, Y and Z of contributing ring m. They are 0 if m is not the index of such a ring.
+    // Compute the weights in X, Y and Z of ring m among the rings that contribute to the colour. The weights are 0 if m
+    // is not the index of such a ring.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -235,8 +236,8 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at contributing ring m. If m is not the index of such a ring, return the reflectance at
-    // the nearest contributing ring.
+    // Return the reflectance at the wavelength of ring m among the rings that contribute to the colour. If m is not the
+    // index of such a ring, return the reflectance at the nearest of these rings.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {

@@ -27,10 +27,10 @@ constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 // rings whose radius is below `WITHIN` times the smaller standard deviation. If it was doubled everywhere, sums over
 // narrow Gaussians would be inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Smallest radius |(u, v)| of the rings that are added. It is the smaller of two products: `INNERMOST` times the
-// smaller standard deviation of the footprint's Gaussian, and `INNERMOST_OF_LOBE` times the standard deviation of the
-// peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to that
-// of the peak. The values are limited by time: smaller values add more rings.
+// Rings (circles) of the colour table are added down to a smallest radius |(u, v)|. It is the smaller of two products:
+// `INNERMOST` times the smaller standard deviation of the footprint's Gaussian, and `INNERMOST_OF_LOBE` times the
+// standard deviation of the peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the
+// Gaussian, relative to that of the peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // Rule for the mip level (a blurred copy of the table) from which rows are added. `MOST_BLUR2` is the maximum variance
 // of the blur of the level, relative to the variance of the footprint's Gaussian along the ring. `AZIMUTHS_APART` is
@@ -96,8 +96,8 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the table rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
-// because it may be the first azimuth of the next arc.
+// Add the table rows on an arc of a ring (circle of constant |(u, v)|), from the azimuth `first` to the azimuth `end`.
+// The azimuth `end` is excluded, because it may be the first azimuth of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)

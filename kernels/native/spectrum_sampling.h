@@ -19,7 +19,7 @@ constexpr int TAPS = 16, KNOWN_ROWS = 64;
 // relative to its nearest coefficient.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
-    // Row and column of the zeroth order if it is excluded from the sums; −1 otherwise.
+    // Row and column of the zeroth order if it is excluded from sums of Fourier coefficients; −1 otherwise.
     int excluded_y, excluded_x;
 
     template <class Table>
@@ -76,8 +76,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // A point may be hundreds of coefficients away from the zeroth order, where float32 is too coarse. The integer part
-    // of its position is therefore subtracted in float64.
+    // The point of the frequency plane may be hundreds of Fourier coefficients away from the zeroth order, where
+    // float32 is too coarse. The integer part of its position is therefore subtracted in float64.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;

@@ -18,7 +18,7 @@ from warpdiff.lights.sky_grid import sample_grid
 from warpdiff.optics import reflectance_factors
 
 COUNT = 1 << 14
-# Cumulative probabilities whose last value is below 1, which rounding can cause.
+# Cumulative probabilities of a distribution. Because of rounding, their last value may be below 1, as here.
 SHORT = [0.3, 0.3, 0.9]
 
 

@@ -160,9 +160,9 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
 
 
 def test_directions_beyond_the_range_of_the_reference_do_not_count():
-    """Errors in directions for which the reference has too few wavelengths must not count in the percentile.
+    """The percentile of the errors of a table must ignore directions for which the reference has too few wavelengths.
 
-    For a source at the horizon, there are such directions.
+    For a light source at the horizon, there are such directions.
     """
     directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)

@@ -78,7 +78,7 @@ _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # is below a limit, `_FLOOR` times the reference luminance, are multiplied by the same factor as colours at the limit,
 # so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
-# Measured peak memory while a table is computed [bytes per sample of its polar grid].
+# Measured peak memory while a table of baked lobes is computed [bytes per sample of its polar grid over (u, v)].
 _BYTES_A_NODE = 170
 # Largest height range of a height field that can be baked [µm]. For larger height ranges, the powers of Fourier
 # coefficients oscillate so fast as functions of w that their samples require more than a minute.

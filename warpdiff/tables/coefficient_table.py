@@ -149,7 +149,7 @@ class RowsKey:
 
 @dataclass(frozen=True)
 class Table:
-    """Table of coefficients on a device, with the kernels that evaluate it.
+    """Table of Fourier coefficients on a device, with the kernels that compute colours and reflectances from it.
 
     Attributes:
         integrate: Kernel that integrates the spectrum over λ to colours XYZ.
@@ -233,9 +233,9 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # ``cache.fitted_to`` contains the series to which the last basis was fitted. Two cached series would require
-        # twice the memory. ``fitted_to`` is therefore emptied: its series was moved to ``cache.coefficients``, or is no
-        # longer needed.
+        # ``cache.fitted_to`` contains the Fourier coefficients as series, to which basis functions were fitted last.
+        # Two cached series would require twice the memory. ``fitted_to`` is therefore emptied: its series was moved to
+        # ``cache.coefficients``, or is no longer needed.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 

@@ -308,7 +308,7 @@ def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[
     # wavelengths, the colour curves are 0.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
-    # The curves are multiplied by λ, because the splines are functions of ln λ, and dλ = λ d ln λ.
+    # The colour curves are multiplied by λ, because the splines are functions of ln λ, and dλ = λ d ln λ.
     curves = at[:, None] * np.stack([np.interp(at, VISIBLE_NM, c, left=0.0, right=0.0) for c in products.T], axis=1)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]
