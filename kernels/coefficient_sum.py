@@ -152,8 +152,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         length_y: wp.float64  # number of coefficients per unit of frequency [µm]
         length_x: wp.float64
         exponent: wp.float32  # coefficients with a weight below exp(−exponent) are excluded
-        # Factors of the squared distances in the exponent of the Gaussian weights, along y and x, at λ = 1 µm. For a
-        # light source, they apply to normal incidence.
+        # Factors of the squared distances in the exponent of the coefficients' Gaussian weights, along y and x, at
+        # λ = 1 µm. For a light source of finite size, they apply to normal incidence.
         across: wp.float32
         along: wp.float32
         # For a repeated patch, the amplitude at a frequency is interpolated between Fourier coefficients. The weight of
@@ -198,8 +198,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             of_footprint = area * area
             of_source = p2 * z2
             of_both = z2 * (wp.length_sq(f) + wp.length_sq(g)) + along_f * along_f + along_g * along_g
-            # ``k`` reduces the squared lengths of the footprint's vectors f and g, so that the determinant is at most
-            # MOST_WIDENED² times that of the source.
+            # ``k`` reduces the squared lengths of the footprint's changes of (u, v), f and g. The determinant of the
+            # covariance is then at most MOST_WIDENED² times that of the source.
             most = of_source * wp.static(MOST_WIDENED * MOST_WIDENED - 1.0)
             k = wp.float32(1.0)
             if of_both + of_footprint > most:

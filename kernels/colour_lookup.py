@@ -168,8 +168,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends of a ring.
 
-        The kernel processes the values of one octave. Each coefficient is a weighted sum of the values at
-        2 ``FILTER_REACH`` + 1 azimuths of the same ring.
+        The splines pass through the colours ``values`` of one octave of the table. Each coefficient is a weighted sum
+        of the values at 2 ``FILTER_REACH`` + 1 azimuths of the same ring.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -214,8 +214,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # A pass over the rings reads and writes the sums of all rings. Several azimuths are therefore added in one
-            # pass, which saves memory accesses.
+            # Each ring (circle) has a sum over azimuths. A pass over the rings reads and writes all these sums. Several
+            # azimuths are therefore added in one pass, which saves memory accesses.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):

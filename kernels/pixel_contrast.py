@@ -6,8 +6,9 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options())
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided into subpixel cells with one ray each. ``SHARED`` pixels use the
-# cells of neighbouring pixels. A pixel with the mark 0 keeps the colour of its one ray.
+# Marks of pixels. ``ACTIVE`` pixels are selected for subdivision into subpixel cells with one ray each; their
+# neighbours are subdivided, too. A ``SHARED`` pixel is not selected, but it uses the cells that it and its eight
+# neighbours have. A pixel with the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
@@ -163,7 +164,8 @@ def estimate_errors(
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
-            # If no neighbour hits the mesh, the pixel's own colour replaces the contrast.
+            # If none of the neighbours to the left, right, top and bottom hits the mesh, the pixel's own colour
+            # replaces the contrast.
             contrast2 = wp.length_sq(own)
         weight = wp.float32(1.0)
         if met == 9:

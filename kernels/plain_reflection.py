@@ -123,7 +123,7 @@ def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.
 
 @wp.func
 def stretched(alpha2: wp.float32, cosine: wp.float32) -> wp.float32:
-    """Return √(cos²θ + α² sin²θ) for a direction at the angle θ from the normal."""
+    """Return √(cos²θ + α² sin²θ), with α of GGX, for a direction at the angle θ from the normal."""
     return wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine)
 
 

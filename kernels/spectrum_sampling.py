@@ -140,8 +140,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths whose colours a thread computes together. The value is limited by the CPU's registers, into
-    # which the sums of all these azimuths must fit.
+    # Number of azimuths (polar angles) whose colours a thread computes together. The value is limited by the CPU's
+    # registers, into which the sums of all these azimuths must fit.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(

@@ -39,7 +39,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Add the subpixel cells of pixels from ``begin`` to ``end`` to sums for each pixel and its eight neighbours."""
+    """Add the colours of the cells of subdivided pixels from ``begin`` to ``end`` to these pixels and neighbours."""
 
 
 @wp.kernel

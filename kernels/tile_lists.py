@@ -113,7 +113,7 @@ def mark_shared(
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark a pixel as ``SHARED`` if it has no mark, and if it and its eight neighbours all have a level above 0."""
+    """Mark a pixel as ``SHARED`` if it has no mark, but it and all of its eight neighbours have levels above 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED
@@ -157,7 +157,7 @@ def advance_batch(
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Increase the number of copied pixels of a list by ``count``, and store whether pixels of the list remain."""
+    """Add ``count`` to the number of pixels of a list that were copied, and store whether pixels of the list remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

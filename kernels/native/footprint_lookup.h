@@ -100,8 +100,8 @@ struct Segments {
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows of the table that are added for one ring, one row per azimuth. `row` is the index of the first row, `count` the
-// number of rows, and `taps` the index of the first weight in the table of weights.
+// Rows of the colour table that are added for one ring (circle), one row per azimuth. `row` is the index of the first
+// row, `count` the number of rows, and `taps` the index of the first weight in the table of weights.
 struct RingRows {
     int row, count, taps;
 };
@@ -291,8 +291,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Compute the position of each part of a footprint in the table. Compute also its two standard deviations: across the
-// rings of the table, and across the azimuths.
+// Compute the position of each part of a footprint in the colour table. Compute also the two standard deviations of the
+// part: across the rings (circles) of the table, and across the azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -327,7 +327,8 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
         }
 }
 
-// Select the rings that are added for each part of a footprint: first and last ring, spacing and weights of the rings.
+// Select the rings (circles) of the table that are added for each part of a footprint: first and last ring, spacing and
+// weights of the rings.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
@@ -365,8 +366,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // If only every n-th ring is added, the index of the first added ring is a multiple of n, so that
-            // neighbouring pixels use the same rings.
+            // If only every n-th ring of the table is added, the index of the first added ring is a multiple of n, so
+            // that neighbouring pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);

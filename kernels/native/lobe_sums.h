@@ -80,8 +80,8 @@ struct Lobe {
             int)(up ? wp::min(wp::max(index, 0.0), (double)count) : wp::max(wp::min(index, (double)count - 1.0), -1.0));
     }
 
-    // Return the weight of the coefficient in a row and a column, and set `dx` and `dy` to its distances from the
-    // centre. The weight is 0 outside of the ellipse in which coefficients are summed.
+    // Return the Gaussian weight of the Fourier coefficient in a row and a column. Set `dx` and `dy` to the distances
+    // of its frequency from the centre. The weight is 0 outside of the ellipse in which coefficients are summed.
     template <class Table>
     WARPDIFF_INLINE double weight(const Table& table, int row, int column, double& dx, double& dy) const
     {
@@ -151,8 +151,8 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
             sums[3] -= 2.0 * dx * dy * value;
             sums[4] -= dy * dy * value;
             sums[5] += weight * dot_rows(coefficient, slopes, table.terms);
-            // The frequency of the coefficient is r/L_x. The distance d_x from it therefore grows by r/L_x² per unit of
-            // L_x.
+            // The frequency of the Fourier coefficient is r/L_x. The distance d_x of the centre from it therefore grows
+            // by r/L_x² per unit of L_x.
             sums[6] += along_x * r * lobe.step_x * lobe.step_x;
             sums[7] += along_y * s * lobe.step_y * lobe.step_y;
             sums[8] += r * value;

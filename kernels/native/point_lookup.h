@@ -68,7 +68,7 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
     }
 }
 
-// Return the weighted sum of the nine table rows around a point: three rings on three azimuths.
+// Return the weighted sum of the nine rows of the colour table around a point: at three rings on three azimuths.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
 {

@@ -17,7 +17,7 @@ namespace warpdiff {
 // (circles of the polar grid) per block, RINGS_TOGETHER the number of rings that one thread of `spread_pixels`
 // processes, and MOST_TERMS the largest number of terms of a Chebyshev series.
 constexpr double RADIANS_PER_TURN = 6.283185307179586;
-// Number of columns of Fourier coefficients whose Gaussian weights are computed together.
+// Number of columns of the block of Fourier coefficients whose Gaussian weights are computed together.
 constexpr int COLUMNS_TOGETHER = 128;
 
 // Weights with which a sample of the spectrum contributes to three rings (circles of the polar grid), whose indices are
@@ -124,8 +124,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
         const int first_direction = numbers<const int>(grid.first_directions)[block];
         const double* const radii = numbers<const double>(grid.radii) + numbers<const int>(grid.first_radii)[block];
         if (radii[count - 1] < radius - reach || radii[0] > radius + reach) continue;
-        // Only azimuths from `begin` to `end` have samples near the coefficient. The range is wider by one azimuth on
-        // each side because of rounding errors.
+        // Only azimuths from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The range is
+        // wider by one azimuth on each side because of rounding errors.
         int begin = 0, end = azimuths;
         if (radius > 1.01 * reach) {
             const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;
@@ -144,8 +144,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
             if (half2 < -1.0e-9 * reach * reach) continue;
             const double half = wp::sqrt(wp::max(half2, 0.0));
             if (along + half < radii[0] || along - half > radii[count - 1]) continue;
-            // Only samples from `low` to `high` are near the coefficient. The range is wider by one sample on each side
-            // because of rounding errors.
+            // Along this azimuth, only samples at frequencies from `low` to `high` are near the Fourier coefficient.
+            // The range of their indices is wider on each side because of rounding errors.
             const double per_sample = (double)divisions / grid.step;
             const double low = wp::max(along - half, radii[0]), high = wp::min(along + half, radii[count - 1]);
             const int from = wp::max((int)wp::floor((wp::log(low) - first_log) * per_sample + 1.5 * divisions) - 2, 0);

@@ -159,8 +159,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // The nearer a ring is to the mirror direction, the larger is the angle that the Gaussian covers on it. More
-        // blurred mip levels then suffice.
+        // The smaller the radius of a ring is, the larger is the angle that the Gaussian covers on it. More blurred mip
+        // levels of the table then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);

@@ -31,7 +31,7 @@ struct Rgba {
     float channels[4] = {};
 };
 
-// Size of one level of a pyramid, and its first texel.
+// Size of one level of an image pyramid, and its first texel.
 struct TextureLevel {
     const float* texels;
     int width, height;

@@ -56,8 +56,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None, maps=None):
                      if hit[y, x]]  # fmt: skip
             contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
             if all(away != 1 for away, _ in steps):
-                # If no ray of a neighbour to the left, right, top or bottom hits the mesh, there is no contrast, and
-                # the pixel's own colour is used instead.
+                # If the rays of the neighbours to the left, right, top and bottom all miss the mesh, the pixel has no
+                # contrast, and its own colour is used instead.
                 contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):

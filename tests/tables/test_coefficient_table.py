@@ -28,7 +28,7 @@ def rough() -> wd.HeightField:
 
 @pytest.fixture
 def builds(monkeypatch):
-    """Return a list of the height fields whose coefficients are fitted during the test."""
+    """Return a list of the height fields to whose Fourier coefficients basis functions are fitted during the test."""
     built = []
     fitted = coefficient_basis.fitted
 

@@ -160,8 +160,8 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of `remaining` is the truncation error if only the first n functions of w are used. The error is the
-    # largest one over all |w| and not the mean, because a call may use a single |w|.
+    # Element n of `remaining` is the truncation error if colours are sums of the first n functions of w only. It is the
+    # largest error over all |w| and not the mean, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)

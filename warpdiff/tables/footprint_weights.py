@@ -32,7 +32,7 @@ _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # is at least 0.9, the smallest number of samples per standard deviation. The weights for spectra under a window are
 # fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
-# Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
+# Weights of the filter that converts sampled values to coefficients of quadratic splines; the outermost are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 # Number of positions between two neighbouring samples for which the weights of taps (the samples that a look-up adds)
 # are tabulated.
@@ -110,9 +110,9 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
     The Gaussian is truncated at the outermost coefficient.
     """
-    # The blur is computed by a discrete Fourier transform, which treats the interval as periodic. The interval extends
-    # to 16 sample distances from the centre. There even the widest Gaussian is negligible, so that its periodic copies
-    # do not overlap.
+    # The blur is computed by a discrete Fourier transform, which treats the blurred spline as periodic. The period
+    # extends to 16 sample distances from the centre. There even the widest Gaussian is negligible, so that its periodic
+    # copies do not overlap.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
