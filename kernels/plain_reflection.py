@@ -36,7 +36,8 @@ MOST_ADDED = wp.constant(wp.float32(0.18))
 class PlainMaterials:
     """Materials of plain surfaces, which have no height field.
 
-    The last element of the arrays is for faces with a height field, and for faces without a material.
+    The last element of ``metallic_roughness`` and ``emission`` is for faces with a height field, and for faces without
+    a material.
     """
 
     rows: wp.array(dtype=wp.int32)  # row of each face's material in the two arrays below

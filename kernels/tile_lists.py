@@ -66,7 +66,7 @@ def count_marks(
     run: wp.int32,
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the pixels whose colours depend on subpixel cells, which are those with a mark other than 0."""
+    """Count the pixels that are selected for subdivision into cells: those with a mark other than 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks[i] != wp.uint8(0):
             atomic_increment(counts_out, 0)

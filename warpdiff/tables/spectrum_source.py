@@ -137,7 +137,7 @@ class SpectrumSource(ABC):
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
-        """Return the weights that convert the spectrum to colours, for an illuminant and a material; they are cached."""
+        """Return the cached weights that convert the spectrum to colours for an illuminant and a material."""
         if illuminated not in self.projections:
             self.projections[illuminated] = make_projection(plan, self.basis, illuminated, self.layout)
         return self.projections[illuminated]
