@@ -8,4 +8,4 @@ import warp as wp
 # must include ``native/atomics.h``.
 @wp.func_native("return warpdiff::atomic_increment((int*)values.data + index);")
 def atomic_increment(values: wp.array(dtype=wp.int32), index: wp.int32) -> wp.int32:
-    """Increment an array element by 1, and return its previous value."""
+    """Increment an array element by 1 as one atomic operation, and return its previous value."""

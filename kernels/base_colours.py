@@ -38,7 +38,8 @@ def sample_base_colours(
         surface: Mesh with its texture coordinates.
         textures: Textures of the materials.
         pixels: Arrays of hits: hits and base colours are read, base colours are written.
-        deviation: Standard deviation of the rays' filter [pixels]. With 0, textures are sampled at points.
+        deviation: Standard deviation of the Gaussian filter of each ray [pixels]. With 0, textures are sampled at
+            points.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
     """

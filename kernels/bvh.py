@@ -10,9 +10,9 @@ from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 # allow this: they keep infinities correct.
 wp.set_module_options(compile_options.options())
 
-# Length up to which a ray is followed [radii of the mesh]. The number was derived from two distances. A ray starts at
-# most 2 radii before the point where it is nearest to the mesh's centre, and leaves the sphere around the mesh within 3
-# radii. A larger length changes nothing.
+# Length up to which a camera ray is followed from its start [radii of the mesh]. A ray starts at most 2 radii before
+# the point where it is nearest to the mesh's centre. It leaves the sphere around the mesh at most 1 radius after that
+# point. The value must therefore exceed 3; a larger value changes nothing.
 FAR = wp.constant(wp.float32(4.0))
 
 
@@ -86,11 +86,11 @@ def trace_bvh(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, first: wp.int32, run: wp.int32,
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Find the first face that each ray hits, by the hierarchy of bounding boxes.
+    """Find the first face that each ray hits, by a hierarchy of bounding boxes around the faces.
 
     Args:
         camera: Camera in the units of the mesh.
-        surface: Mesh with its hierarchy.
+        surface: Mesh with its hierarchy of bounding boxes.
         sampling: Positions of the rays in their pixels.
         first: Index of the first ray of the first thread.
         run: Number of rays per thread.

@@ -26,9 +26,9 @@ FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
 # limited by computing time, which is proportional to the square of this number.
 TAPS = 8
-# Under a light source of finite size, the weights of Fourier coefficients are a Gaussian of (u, v). The footprint of a
-# pixel widens this Gaussian to at most this multiple of its area. The limit was chosen, because the computing time is
-# proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
+# Under a light source of finite size, the Fourier coefficients around a direction are added with Gaussian weights. The
+# footprint (range of directions in a pixel) widens the Gaussian, to at most this multiple of its area. Computing time
+# is proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
 MOST_WIDENED = 16.0
 # The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
 # from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
@@ -38,10 +38,11 @@ NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 @wp.struct
 class Quadrature:
-    """Sets of wavelengths with weights in X, Y and Z. Each set has 2^(−1/4) times the wavelengths of the set before.
+    """Sets of wavelengths for integrals over λ, from the largest to the smallest set, with weights in X, Y and Z.
 
     The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. The first set is for the
-    largest bandwidth of a computation. A direction uses the smallest set that suffices for its bandwidth.
+    largest bandwidth. Each further set has 2^(−1/4) times as many wavelengths. A direction uses the smallest set that
+    suffices for its bandwidth.
     """
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths of all sets [1/µm], one set after the other
@@ -62,7 +63,7 @@ class Quadrature:
 
 @wp.func
 def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-    """Return the reflectance R(θd, λ) of the material, with cos θd = |(u, v, w)|/2; 1 without a material."""
+    """Return a material's reflectance at half the angle between light and view, and at 1/λ; 1 without a material."""
     if quadrature.reflectances.shape[0] == 0:
         return wp.float32(1.0)
     place = wp.min(wp.length(scattering_vector) * wp.float64(0.5), wp.float64(1.0)) * wp.float64(
@@ -89,15 +90,15 @@ class Window:
     across: wp.float32
     along: wp.float32
     slant: wp.float32
-    # Distances from q along y and x within which coefficients are summed [spacings of coefficients].
+    # Largest distances from the frequency q at which Fourier coefficients are added, along y and x [their spacings].
     radius_y: wp.float32
     radius_x: wp.float32
-    # Factors exp(−2 across) and exp(−2 along), by which the weights of successive coefficients are computed. They are
-    # used only if the window has the same weights at all wavelengths.
+    # Constants exp(−2 across) and exp(−2 along): the ratio of the Gaussian weights of two successive coefficients is
+    # the previous ratio times this constant. Used only if the Gaussian is the same at all wavelengths.
     shrink_y: wp.float32
     shrink_x: wp.float32
-    # Area of the Gaussian of the light source, divided by the area of the Gaussian that the footprint has widened. Sums
-    # are multiplied by it, so that the result is the mean over the footprint. Without a footprint, it is 1.
+    # Area of the Gaussian weights for the light source alone, divided by their area after the footprint of the pixel
+    # has widened them; 1 without a footprint. Sums are multiplied by this ratio to obtain means over the footprint.
     share: wp.float32
 
 
@@ -107,8 +108,8 @@ def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32
 
     t is the frequency of a direction in spacings of the patch's Fourier coefficients.
     """
-    # N t may exceed 1,000. Float32 is too coarse for such numbers. Whole turns are therefore removed from t and N t in
-    # float64 before the sines are computed.
+    # N t may exceed 1,000. Float32 is too coarse for such numbers. The nearest integers are therefore subtracted from t
+    # and from N t in float64, which does not change the squared sines.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -140,7 +141,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.struct
     class Table:
         rows: wp.array(dtype=row_t)  # for each coefficient: a row for its power, or two for its real and imaginary part
-        # Basis functions at equal steps in |κ| = |w|/λ, with one entry below the range of |κ| and two above it.
+        # Values of the basis functions at equal steps in |κ| = |w|/λ: one below the range of |κ| in use, two above it.
         basis: wp.array(dtype=row_t)
         kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
         steps: wp.float64  # number of entries of ``basis`` per unit of |κ|
@@ -151,13 +152,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         length_y: wp.float64  # number of coefficients per unit of frequency [µm]
         length_x: wp.float64
         exponent: wp.float32  # coefficients with a weight below exp(−exponent) are excluded
-        # Factors of the squared distances in the exponent of the Gaussian weights, along y and x, at λ = 1 µm. For a
-        # light source, they apply to normal incidence.
+        # Factors of the squared distances in the exponent of the coefficients' Gaussian weights, along y and x, at
+        # λ = 1 µm. For a light source of finite size, they apply to normal incidence.
         across: wp.float32
         along: wp.float32
-        # Polynomials of the weights by which coefficients are interpolated, for a patch that is repeated. `taps_y` has
-        # one row per neighbouring coefficient and one column per power of the polynomials' argument; `taps_x` has one
-        # vector per power and one element per neighbouring coefficient.
+        # For a repeated patch, the amplitude at a frequency is interpolated between Fourier coefficients. The weight of
+        # each neighbouring coefficient is a polynomial of the position. `taps_y` has one row per coefficient and one
+        # column per power of the position; `taps_x` has one vector per power and one element per coefficient.
         taps_y: wp.array2d(dtype=wp.float32)
         taps_x: wp.array(dtype=taps_t)
         periods_y: wp.float64
@@ -197,8 +198,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             of_footprint = area * area
             of_source = p2 * z2
             of_both = z2 * (wp.length_sq(f) + wp.length_sq(g)) + along_f * along_f + along_g * along_g
-            # ``k`` reduces the squared lengths of the footprint's vectors f and g, so that the determinant is at most
-            # MOST_WIDENED² times that of the source.
+            # ``k`` reduces the squared lengths of the footprint's changes of (u, v), f and g. The determinant of the
+            # covariance is then at most MOST_WIDENED² times that of the source.
             most = of_source * wp.static(MOST_WIDENED * MOST_WIDENED - 1.0)
             k = wp.float32(1.0)
             if of_both + of_footprint > most:
@@ -221,7 +222,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def basis_at(table: Table, kappa: wp.float64) -> row_t:
-        """Return the values of the basis functions at |κ| = |w|/λ, by a cubic polynomial through four table entries."""
+        """Return the basis functions of the coefficients at |κ| = |w|/λ, by cubics through four tabulated values."""
         steps = wp.max((kappa - table.kappa_low) * table.steps, wp.float64(0.0))
         entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
         t = wp.float32(steps - wp.float64(entry))
@@ -237,7 +238,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the power ⟨|P|²⟩ at one wavelength, the weighted sum of coefficients; ``wavenumber`` is 1/λ [1/µm]."""
+        """Return the diffracted power at 1/λ = ``wavenumber``: a sum of Fourier coefficients with Gaussian weights."""
         # The frequency q may be hundreds of coefficients away from the zeroth order, but the Gaussian weights extend
         # over a few coefficients only. Therefore the integer part of the position of q is removed in float64, and the
         # weights are computed in float32.
@@ -261,8 +262,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         first_y = wp.int32(wp.ceil(fy - radius_y))
         last_y = wp.int32(wp.floor(fy + radius_y))
         if wp.static(form == "source"):
-            # A footprint may extend beyond the table; the rows outside of it are excluded. A table with the origin 0
-            # has all coefficients and is periodic, so that no row is outside.
+            # The widened Gaussian may extend beyond the stored Fourier coefficients; rows outside are skipped. A table
+            # with the origin 0 has all coefficients and is periodic, so that no row is outside.
             if table.origin_y > 0:
                 first_y = wp.max(first_y, -table.origin_y - iy)
                 last_y = wp.min(last_y, table.origin_y - iy)
@@ -343,13 +344,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # The power ⟨|P|²⟩ is at most 1. At a κ = w/λ far beyond the range of the series of the coefficients, the series
-        # may overflow to infinity or NaN. wp.min then returns 1.
+        # The power relative to a flat mirror is at most 1. Each Fourier coefficient is a series in κ = w/λ, which may
+        # overflow to infinity or NaN far beyond the range of κ for which it is made. wp.min then returns 1.
         return window.share * wp.min(total, wp.float32(1.0))
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the power |P|² of one patch at one wavelength; the amplitude is interpolated between coefficients."""
+        """Return the power that one patch diffracts, by interpolation of amplitudes between Fourier coefficients."""
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.floor(qy))
@@ -389,7 +390,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def interference_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the interference factor of the periods at one wavelength: the product of the factors along y and x."""
+        """Return the interference factor of the repeated patches: the product of the factors along y and x."""
         y = interference_factor(scattering_vector[1] * wavenumber * table.patch_y, table.periods_y)
         x = interference_factor(scattering_vector[0] * wavenumber * table.patch_x, table.periods_x)
         return y * x
@@ -400,9 +401,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
-            # For light at the angle θ from the normal, the spread of (u, v) in the direction of the light's projection
-            # onto the surface is cos θ times the spread at normal incidence. Coherence then extends farther in this
-            # direction, which increases the required number of wavelengths.
+            # For light at the angle θ from the normal, the range of (u, v) over the source, in the direction of the
+            # light's projection onto the surface, is cos θ times the range at normal incidence. The coherence length is
+            # then larger in this direction, so that more wavelengths are required.
             stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
             uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
         else:
@@ -419,7 +420,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``.
 
-        Under a light of finite size, each XYZ is the mean over a footprint, or for one direction without footprints.
+        Under a light source of finite size, each XYZ is a mean over the footprint of a pixel, if footprints are given.
         """
         i = first + wp.tid()
         gain = gains[i]

@@ -31,9 +31,9 @@ from warpdiff.kernels.structs import Footprint
 # Compile options of this module. Loops are not unrolled, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the largest number of azimuths, or rings, whose rows a look-up adds with tabulated weights. Azimuths are
-# periodic. This number of azimuths is therefore repeated before the first azimuth of a ring, and after the last one.
-# The value is limited by memory: if it is doubled, the tables of weights become twice as large.
+# A look-up adds table rows of neighbouring azimuths (polar angles), or of neighbouring rings (radii), with tabulated
+# weights. The value is half of the largest number of such rows. Azimuths are periodic: this number of azimuths is
+# therefore repeated before the first and after the last one. If it is doubled, tables of weights need twice the memory.
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
 # arrays of this size.
@@ -41,9 +41,9 @@ BATCH = 256
 # While a direction is looked up, the table rows of the direction with an index larger by this number are fetched from
 # memory. The value was chosen freely, because other numbers change only the computing time.
 _AHEAD = 3
-# Number of azimuth samples on each side from which the filter computes the spline coefficient of an azimuth sample. A
-# sample at a distance of n has the weight √2 · (−0.17)ⁿ. The value was chosen so that the weights of samples farther
-# away, which are omitted, are at most 6e-6.
+# A filter converts the azimuth samples of a ring to coefficients of the spline through them. Each coefficient is a
+# weighted sum of this number of samples on each side. A sample at a distance of n has the weight √2 · (−0.17)ⁿ. The
+# value was chosen so that the weights of samples farther away, which are omitted, are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
@@ -55,14 +55,14 @@ _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts into which the footprint of a pixel is divided if the polar angle of (u, v) changes within the
 # footprint. The value is limited by time, which is proportional to the number of parts.
 MOST_PARTS = 12
-# Distance from the centre of a wide blur over rings at which the blur is truncated [standard deviations]. The value is
-# limited by time, which is proportional to it.
+# A wide footprint blurs colours over rings (circles of constant |(u, v)|) by a Gaussian, which is truncated at this
+# distance from its centre [standard deviations]. The value is limited by time, which is proportional to it.
 DEVIATIONS = 3.0
 
 
 @wp.struct
 class FootprintTaps:
-    """Tables of weights by which a look-up adds azimuths, or rings, around a position.
+    """Tables of weights with which a look-up adds the colours of azimuths (polar angles), or of rings (radii).
 
     Each weight is the value of the spline that interpolates between azimuths (or rings), blurred by a Gaussian. Weights
     are tabulated by the variance of this Gaussian.
@@ -75,16 +75,16 @@ class FootprintTaps:
     # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuths, or of the
     # rings.
     per_variance: wp.float32
-    # For each number of parts into which a footprint is divided, from 1 on: variance, positions and weights of the
-    # parts.
+    # A footprint may be divided into parts, which are narrower Gaussians. For each number of parts, from 1 on: variance
+    # of a part, and positions and weights of all parts.
     parts: wp.array3d(dtype=wp.float32)
 
 
 @wp.func
 def spline(away: wp.float32) -> wp.vec3f:
-    """Return the weights of three neighbouring samples in a quadratic B-spline.
+    """Return the weights of three neighbouring samples in a quadratic B-spline, at a position near the middle sample.
 
-    The position is at the distance ``away`` from the middle sample.
+    ``away`` is the distance of the position from the middle sample, in spacings of the samples.
     """
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
@@ -151,8 +151,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         reflectances: wp.array2d(
             dtype=wp.float32
         )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; R is 1 if the array is empty
-        # For a light source of finite size, one number per octave: variance of the blur over the angle that spectral
-        # lines already have in the table [rad²].
+        # For a light source of finite size: variance of the angular blur that spectral lines already have in the table
+        # [rad²], for each octave of |(u, v)|.
         line_blurs2: wp.array(dtype=wp.float32)
         spread2: wp.float32  # for a source: variance s² of (u, v) perpendicular to the direction of the light
         inner_radius2: wp.float32  # for a source: the table gives no colours for smaller |(u, v)|²
@@ -168,8 +168,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends of a ring.
 
-        The kernel processes the values of one octave. Each coefficient is a weighted sum of the values at
-        2 ``FILTER_REACH`` + 1 azimuths of the same ring.
+        The splines pass through the colours ``values`` of one octave of the table. Each coefficient is a weighted sum
+        of the values at 2 ``FILTER_REACH`` + 1 azimuths of the same ring.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -192,7 +192,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, source: wp.int32, level: wp.int32, octave: wp.int32, first: wp.int32, run: wp.int32,
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
+        """Compute the colours of a mip level at its azimuths (polar angles) by a Gaussian blur of a finer level.
 
         The spline that look-ups use between azimuths is itself a blur. Its variance is a quarter of the squared
         distance between azimuths.
@@ -214,8 +214,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # A pass over the rings reads and writes the sums of all rings. Several azimuths are therefore added in one
-            # pass, which saves memory accesses.
+            # Each ring (circle) has a sum over azimuths. A pass over the rings reads and writes all these sums. Several
+            # azimuths are therefore added in one pass, which saves memory accesses.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):

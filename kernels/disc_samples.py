@@ -19,8 +19,8 @@ wp.set_module_options(compile_options.options())
 
 # If the mirror direction is near the disc of the light, the fraction ``MIRROR_SHARE`` of the samples is drawn around
 # the mirror direction, because surfaces are brightest there. ``REACH`` is the largest distance from the disc that
-# counts as near [standard deviations of the zeroth order]. Both values were chosen freely: other values change the
-# noise, not the mean.
+# counts as near [standard deviations of the peak of the zeroth order in (u, v)]. Both values were chosen freely: other
+# values change the noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 

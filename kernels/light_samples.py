@@ -55,8 +55,8 @@ class Reflection:
     )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and cosine of the angle from the normal
-    # Factors a of the energy normalisation for each surface, by which the orders of a perfect mirror sum to 1. They are
-    # tabulated by the angle from the normal and the azimuth. If the array is empty, no energy is normalised.
+    # Factors a of the energy normalisation for each surface, with which the powers of all orders of a perfect mirror
+    # sum to 1, tabulated by the angle from the normal and the azimuth. If the array is empty, they are not used.
     energy: wp.array3d(dtype=wp.float32)
 
 
@@ -153,9 +153,9 @@ def scattering_vectors(
 
 @wp.func
 def energy_factor(reflection: Reflection, surface: wp.int32, direction: wp.vec3f) -> wp.float32:
-    """Return the energy normalisation of a surface for a direction in its frame: a factor a from a table.
+    """Return the energy normalisation of a surface for a direction in its frame: a factor from a table.
 
-    With these factors, the orders of a perfect mirror sum to 1.
+    With these factors, the powers of all diffraction orders of a perfect mirror sum to 1.
     """
     rows = reflection.energy.shape[1]
     columns = reflection.energy.shape[2]
@@ -185,7 +185,7 @@ def balance_energy(
     reflection: Reflection, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains (geometry factors) by factors a(ωi) a(ωr), with which orders of a perfect mirror sum to 1."""
+    """Multiply gains (geometry factors) by a(ωi) a(ωr): the powers of all orders of a perfect mirror then sum to 1."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if gains_out[i] > 0.0:
@@ -203,7 +203,7 @@ def add_light_rotation(
     deviation: wp.float32, first: wp.int32, run: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Add to footprints the change of (u, v) by a point light: its direction changes within the area of a pixel."""
+    """Add to footprints the change of (u, v) that the varying direction to a point light causes within a pixel."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
     back = wp.vec3f(camera.axes[3])
@@ -358,7 +358,7 @@ def pixel_footprints(
     deviation: wp.float32, first: wp.int32, run: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Compute the changes of (u, v) over one standard deviation of the rays' filter; ``deviation`` is in pixels."""
+    """Compute the changes of (u, v) over one standard deviation of each ray's filter, which is ``deviation`` pixels."""
     thread, _ = wp.tid()
     begin = first + thread * run
     pixel_footprints_run(camera, surface, pixels, scattering_vectors, deviation, begin, begin + run, footprints_out)

@@ -14,18 +14,18 @@ import warp as wp
 from warpdiff.kernels import compile_options
 
 OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
-# Number of values per direction and wavelength that ``differentiate_lobes`` writes: derivatives with respect to q_x,
-# q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header
-# ``lobe_sums.h`` writes the same number of values.
+# Number of values that ``differentiate_lobes`` writes for a weighted sum of Fourier coefficients: the derivatives with
+# respect to the centre (q_x, q_y) of the weights, their matrix (M_xx, M_xy, M_yy), the argument x of the Chebyshev
+# series, and the lengths L_x and L_y of the patch; two sums with the orders r and s as further factors; the sum itself.
 DERIVATIVES = 11
-# Largest number of terms of a series, which callers must check. The number is limited by the stack. A thread stores the
-# values of the polynomials and of their derivatives there: 8 bytes × 2 × 1024 = 16 kB.
+# Largest number of terms of the Chebyshev series of a Fourier coefficient, which callers must check. The number is
+# limited by the stack, on which a thread stores the polynomials and their derivatives: 8 bytes × 2 × 1024 = 16 kB.
 MOST_TERMS = 1024
 
 
 @wp.struct
 class LobeTable:
-    """Rectangular block of Fourier coefficients, each as a Chebyshev series in x."""
+    """Rectangular block of Fourier coefficients, each a Chebyshev series in x, which is κ = w/λ scaled to −1 to 1."""
 
     coefficients: wp.array(dtype=wp.float64)  # coefficients of the Chebyshev series, ``terms`` numbers per row
     places: wp.array(dtype=wp.int32)  # row of ``coefficients`` for each Fourier coefficient of the block
@@ -41,14 +41,15 @@ class LobeTable:
 
 @wp.struct
 class LobePairs:
-    """Pairs of a direction and a wavelength. A pair has a sum of Fourier coefficients with Gaussian weights."""
+    """Pairs of a direction and a wavelength, at which Fourier coefficients are added with Gaussian weights."""
 
     centres: wp.array(dtype=wp.vec2d)  # frequency q = (u, v)/λ of the maximum of each pair's weights [1/µm]
     forms: wp.array(dtype=wp.vec3d)  # elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²]
     places: wp.array(dtype=wp.float64)  # argument x of the Chebyshev series for each pair, −1 to 1
-    # The following arrays are used only by the transposed sums, which compute adjoints; otherwise they are empty.
-    polynomials: wp.array(dtype=wp.float64)  # values of the Chebyshev polynomials at x, ``terms`` numbers per pair
-    adjoints: wp.array(dtype=wp.float64)  # adjoint of the sum of each pair
+    # The following arrays are used only to compute adjoints (derivatives of a loss) of Fourier coefficients from those
+    # of weighted sums of them; otherwise they are empty. A sum belongs to a pair of a direction and a wavelength.
+    polynomials: wp.array(dtype=wp.float64)  # values of ``terms`` Chebyshev polynomials at the x of each pair
+    adjoints: wp.array(dtype=wp.float64)  # adjoint of the weighted sum that belongs to each pair
     begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, and the number of pairs; sorted by cell
     reach_y: wp.int32  # largest distance of coefficients from a pair's cell, in rows; ``reach_x``: in columns
     reach_x: wp.int32
@@ -63,14 +64,17 @@ def sum_lobe(table: LobeTable, pairs: LobePairs, pair: wp.int32) -> wp.float64:
 def differentiate_lobe(
     table: LobeTable, pairs: LobePairs, pair: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the derivatives of the sum of a pair (a direction and a wavelength), and write them to the pair's row."""
+    """Compute the derivatives of a sum of Fourier coefficients with Gaussian weights, and write them to an output row.
+
+    The sum belongs to a pair of a direction and a wavelength. The row has the index ``pair``.
+    """
 
 
 @wp.func_native("warpdiff::write_polynomials(table, pairs, pair);")
 def write_polynomials(table: LobeTable, pairs: LobePairs, pair: wp.int32):
-    """Write the values of the Chebyshev polynomials for a pair of a direction and a wavelength.
+    """Write the values of the Chebyshev polynomials at the κ = w/λ of a pair of a direction and a wavelength.
 
-    The transposed sums use these values.
+    The adjoints (derivatives of a loss) of Fourier coefficients are computed from these values.
     """
 
 
@@ -78,7 +82,7 @@ def write_polynomials(table: LobeTable, pairs: LobePairs, pair: wp.int32):
 def spread_lobes(table: LobeTable, pairs: LobePairs, cell: wp.int32, rows_out: wp.array2d(dtype=wp.float64)):
     """Add the contributions of all pairs (a direction and a wavelength) to the adjoint of one Fourier coefficient.
 
-    An adjoint is the derivative of a loss. The coefficient is a series, and the adjoint has one number per term.
+    An adjoint is the derivative of a loss. The coefficient is a Chebyshev series; its adjoint has one number per term.
     """
 
 
@@ -93,19 +97,22 @@ def sum_lobes(table: LobeTable, pairs: LobePairs, first: wp.int32, sums_out: wp.
 def differentiate_lobes(
     table: LobeTable, pairs: LobePairs, first: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the derivatives of the sum of each pair (a direction and a wavelength), in the order of `DERIVATIVES`."""
+    """Compute the derivatives of weighted sums of Fourier coefficients, in the order in which `DERIVATIVES` has them.
+
+    Each sum belongs to a pair of a direction and a wavelength.
+    """
     differentiate_lobe(table, pairs, first + wp.tid(), derivatives_out)
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def evaluate_polynomials(table: LobeTable, pairs: LobePairs, first: wp.int32):
-    """Write the values of the Chebyshev polynomials to ``LobePairs.polynomials``, for each direction and wavelength."""
+    """Write Chebyshev polynomials at the κ = w/λ of each direction and wavelength to ``LobePairs.polynomials``."""
     write_polynomials(table, pairs, first + wp.tid())
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def spread_pairs(table: LobeTable, pairs: LobePairs, first: wp.int32, rows_out: wp.array2d(dtype=wp.float64)):
-    """Compute the adjoints of Fourier coefficients from those of the sums in which they occur.
+    """Compute the adjoints of Fourier coefficients from the adjoints of weighted sums of these coefficients.
 
     An adjoint is the derivative of a loss. Each thread processes one coefficient.
     """

@@ -6,16 +6,17 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options())
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided into subpixel cells with one ray each. ``SHARED`` pixels use the
-# cells of neighbouring pixels. A pixel with the mark 0 keeps the colour of its one ray.
+# Marks of pixels. ``ACTIVE`` pixels are selected for subdivision into subpixel cells with one ray each; their
+# neighbours are subdivided, too. A ``SHARED`` pixel is not selected, but it uses the cells that it and its eight
+# neighbours have. A pixel with the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
 CONTRAST_OF_TEXTURE = wp.constant(wp.float32(refinement_levels.CONTRAST_OF_TEXTURE))
-# Least roughness by which differences of roughness are divided. The value was chosen because surfaces with smaller
-# roughnesses look alike in a picture.
+# The difference of roughness between two pixels is divided by the roughness, or by this number if it is larger. The
+# value was chosen because surfaces with smaller roughnesses look alike in a picture.
 LEAST_ROUGHNESS = wp.constant(wp.float32(0.05))
 # Largest relative change of colour that textures cause. The value is limited by float32: its square times the square of
 # a colour must be finite.
@@ -33,9 +34,9 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected error of a pixel, divided by its contrast: its largest colour difference to a neighbour.
+    """Return the expected ratio of a pixel's error to its contrast, the largest colour difference to a neighbour.
 
-    The quotient depends on the changes of (u, v) between the pixel and its neighbours.
+    The ratio is predicted from the changes of (u, v) between the pixel and its neighbours.
     """
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
@@ -84,9 +85,9 @@ def map_change(
     metallic_roughness: wp.array(dtype=wp.vec4f), emission: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32),
     row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32,
 ) -> wp.float32:  # fmt: skip
-    """Return the largest relative change of colour that differences of the textures of plain surfaces may cause.
+    """Return the largest relative change of colour to a neighbouring pixel that textures of plain surfaces may cause.
 
-    The peak of a highlight is proportional to roughness⁻⁴, and its change is four times that of the roughness.
+    The peak of a highlight is proportional to roughness⁻⁴. Its relative change is four times that of the roughness.
     """
     own = metallic_roughness[row * width + column]
     emitted = emission[row * width + column]
@@ -163,7 +164,8 @@ def estimate_errors(
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
-            # If no neighbour hits the mesh, the pixel's own colour replaces the contrast.
+            # If none of the neighbours to the left, right, top and bottom hits the mesh, the pixel's own colour
+            # replaces the contrast.
             contrast2 = wp.length_sq(own)
         weight = wp.float32(1.0)
         if met == 9:

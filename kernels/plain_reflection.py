@@ -27,14 +27,18 @@ DIELECTRIC = wp.constant(wp.float32(0.04))
 # Smallest standard deviation of the roughness within a footprint that is taken into account. The value was chosen
 # because a smaller standard deviation changes colours by less than 4 %.
 LEAST_SPREAD = wp.constant(wp.float32(0.01))
-# Largest trace of the covariance C of slopes. The trace is limited because footprints at silhouettes cover many
-# normals, and would make any surface look rough.
+# Largest trace of the covariance of microfacet slopes by which the footprint of a pixel blurs a highlight. The trace is
+# limited because footprints at silhouettes cover many normals, and would make any surface look rough.
 MOST_ADDED = wp.constant(wp.float32(0.18))
 
 
 @wp.struct
 class PlainMaterials:
-    """Materials of plain surfaces. The last row is for faces with a height field, and for faces without a material."""
+    """Materials of plain surfaces, which have no height field.
+
+    The last element of ``metallic_roughness`` and ``emission`` is for faces with a height field, and for faces without
+    a material.
+    """
 
     rows: wp.array(dtype=wp.int32)  # row of each face's material in the two arrays below
     metallic_roughness: wp.array(dtype=wp.vec2f)  # metallic and perceptual roughness, which is negative if matte
@@ -99,9 +103,9 @@ def blurred(gloss: Gloss, covariance: wp.vec3f, w: wp.float32) -> Gloss:
 
 @wp.func
 def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.vec3f, deviations: wp.float32) -> Gloss:
-    """Return the parameters of the BRDF at the hit of a ray, without its footprint in (u, v).
+    """Return the parameters of the BRDF at the hit of a ray, without the blur by the range of (u, v) in the pixel.
 
-    The roughness is the mean over the footprint plus ``deviations`` standard deviations.
+    The roughness is its mean over the pixel plus ``deviations`` standard deviations.
     """
     result = Gloss()
     result.view = view
@@ -120,7 +124,7 @@ def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.
 
 @wp.func
 def stretched(alpha2: wp.float32, cosine: wp.float32) -> wp.float32:
-    """Return √(cos²θ + α² sin²θ) for a direction at the angle θ from the normal."""
+    """Return √(cos²θ + α² sin²θ), with α of GGX, for a direction at the angle θ from the normal."""
     return wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine)
 
 

@@ -41,16 +41,16 @@ from warpdiff.kernels.transparency import is_occluded
 wp.set_module_options(compile_options.options("transparency.h"))
 
 HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
-# Fractions of the samples that are drawn from a certain distribution; other values would change the noise, not the
-# mean. `LEAST_OF_FACETS` is the smallest fraction drawn from microfacets, among the samples drawn by the surface.
-# `SKY_SHARE` is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and
-# `SKY_SHARE_OF_MIRROR` that for a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from
-# microfacets, if the reflection lobe of the microfacets is narrower than the disc and near the disc. `REACH` is the
+# Directions to the light are drawn from several distributions. Other fractions would change the noise, not the mean.
+# Under a sky, the fraction `SKY_SHARE` is drawn by the brightness of the sky if the surface is diffuse or rough, and
+# `SKY_SHARE_OF_MIRROR` if it is a mirror; the others are drawn by the reflectance. At least the fraction
+# `LEAST_OF_FACETS` of these others is a reflection at random microfacets. For a disc light, `DISC_SHARE` is the
+# fraction drawn from microfacets, if their reflection lobe is narrower than the disc and near it. `REACH` is the
 # largest distance from the disc that counts as near, in units of the roughness parameter α.
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
-# Under many lights, the expected brightness is divided by the cosine of the view direction. A smaller cosine than this
-# number is replaced by it. Other values would change the noise, not the mean.
+# To choose one of many lights, the expected brightness under each light is computed. It is divided by the cosine of the
+# view direction, or by this number if the cosine is smaller. Other values would change the noise, not the mean.
 LEAST_VIEW = wp.constant(wp.float32(0.1))
 
 
@@ -100,7 +100,10 @@ def specular_reflectance(gloss: Gloss) -> wp.float32:
 
 @wp.func
 def share_of_facets(gloss: Gloss) -> wp.float32:
-    """Return the fraction of a surface's samples drawn from microfacets; others have a density like the cosine."""
+    """Return the fraction of a surface's samples that are drawn from microfacets.
+
+    The density of the other samples is proportional to the cosine of the angle from the normal.
+    """
     specular = specular_reflectance(gloss)
     diffuse = (1.0 - specular) * mean_of(gloss.diffuse)
     if diffuse <= 0.0:

@@ -34,7 +34,8 @@ def sample_plain_textures(
         surface: Mesh.
         textures: Textures of the materials, and their texture coordinates.
         pixels: Arrays of hits: hits are read, metallic, roughness and emission are written.
-        deviation: Standard deviation of the rays' filter [pixels]. With 0, textures are sampled at points.
+        deviation: Standard deviation of the Gaussian filter of each ray [pixels]. With 0, textures are sampled at
+            points.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
     """

@@ -16,11 +16,11 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.lobe_sums import LobeTable
 
 OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
-# Number of rings of a block, which is a group of consecutive rings with the same number of azimuth samples. If the
-# number of rings is doubled, inner rings of a block have up to twice as many samples as they require.
+# Number of rings of a block. Rings are circles of a polar grid; a block is a group of consecutive rings with equally
+# many azimuth samples. If the number is doubled, inner rings of a block have up to twice as many samples as they need.
 BLOCK_RINGS = 16
-# Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
-# single thread.
+# Number of consecutive rings (circles of a polar grid of the spectrum) for which one thread computes adjoints, the
+# derivatives of a loss. Each ring is processed by a single thread.
 TOGETHER = 4
 # Largest number of terms of a Chebyshev series on a polar grid, which callers must check. The number is limited by the
 # stack, on which a thread stores the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
@@ -48,7 +48,7 @@ class RingBlocks:
 
 @wp.struct
 class PolarPixels:
-    """Directions whose colours are sums over rings, sorted by their ring indices ``places``."""
+    """Scattering vectors whose colours are sums over rings of the spectrum, sorted by the ring index in ``places``."""
 
     places: wp.array(dtype=wp.float64)  # ring index (a fraction) of the longest visible wavelength, for each direction
     turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
@@ -67,7 +67,10 @@ class PolarPixels:
 def sample_azimuth_rings(
     table: LobeTable, grid: RingBlocks, direction: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the spectrum along one azimuth, at the rings of a block (a group of consecutive rings)."""
+    """Compute the power spectrum along one azimuth (polar angle of the frequency), at a group of consecutive rings.
+
+    A ring is a circle of constant frequency.
+    """
 
 
 @wp.func_native(f"warpdiff::spread_rings<{BLOCK_RINGS}>(table, grid, values, cell, rows_out);")
@@ -75,7 +78,10 @@ def spread_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Add the contributions of all rings to the adjoint (derivative of a loss) of one Fourier coefficient's series."""
+    """Add contributions to the adjoint of one Fourier coefficient: those of the spectrum on all rings of a polar grid.
+
+    An adjoint is the derivative of a loss. The coefficient is a series, and its adjoint has one number per term.
+    """
 
 
 @wp.func_native(f"warpdiff::sum_rings<{BLOCK_RINGS}, {MOST_TERMS}>(grid, values, pixels, pixel, xyz_out);")
@@ -83,14 +89,14 @@ def sum_rings(
     grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, pixel: wp.int32,
     xyz_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Compute the colour of one direction as a sum over rings."""
+    """Compute the colour of one direction: a weighted sum of the power spectrum over rings (circles of the grid)."""
 
 
 @wp.func_native(f"warpdiff::spread_pixels<{BLOCK_RINGS}, {TOGETHER}, {MOST_TERMS}>(grid, pixels, group, values_out);")
 def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
-    """Add the contributions of all directions to the adjoints of the values at a few rings.
+    """Add contributions to the adjoints of the power spectrum on a few rings: those of the colours of all directions.
 
-    An adjoint is the derivative of a loss.
+    An adjoint is the derivative of a loss. A ring is a circle of the polar grid of the spectrum.
     """
 
 
@@ -98,7 +104,10 @@ def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values
 def sample_spectrum_rings(
     table: LobeTable, grid: RingBlocks, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the spectrum on all rings. Each thread computes one azimuth of a block (a group of consecutive rings)."""
+    """Compute the power spectrum on all rings (circles) of a polar grid.
+
+    Each thread computes the samples at one azimuth of a block, which is a group of consecutive rings.
+    """
     sample_azimuth_rings(table, grid, first + wp.tid(), values_out)
 
 
@@ -107,7 +116,7 @@ def spread_spectrum_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), first: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Compute the adjoints of Fourier coefficients from those of the spectrum on all rings.
+    """Compute the adjoints of Fourier coefficients from the adjoints of the power spectrum on a polar grid.
 
     An adjoint is the derivative of a loss. Each thread processes one coefficient.
     """
@@ -119,7 +128,7 @@ def sum_rings_of_pixels(
     grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, first: wp.int32,
     xyz_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Compute the colours of all directions as sums over rings."""
+    """Compute the colours of all directions: weighted sums of the power spectrum over rings (circles of the grid)."""
     sum_rings(grid, values, pixels, first + wp.tid(), xyz_out)
 
 
@@ -127,8 +136,8 @@ def sum_rings_of_pixels(
 def spread_pixels_to_rings(
     grid: RingBlocks, pixels: PolarPixels, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the adjoints of the values at rings from those of the colours to which they contribute.
+    """Compute the adjoints of the power spectrum on a polar grid from the adjoints of the colours.
 
-    An adjoint is the derivative of a loss. Each thread processes a few rings.
+    An adjoint is the derivative of a loss. Each thread processes a few rings (circles of the grid).
     """
     spread_pixels(grid, pixels, first + wp.tid(), values_out)

@@ -9,8 +9,8 @@ POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 
 def prefilter(half_taps: int) -> list[float]:
-    """Return 2 ``half_taps`` + 1 weights of values at consecutive nodes.
+    """Return the weights of a filter that converts values at nodes to coefficients of the spline through the values.
 
-    The weighted sum of these values is the spline coefficient of the middle node.
+    The weighted sum of the values at 2 ``half_taps`` + 1 consecutive nodes is the coefficient of the middle node.
     """
     return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-half_taps, half_taps + 1)]

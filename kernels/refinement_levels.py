@@ -28,8 +28,9 @@ LEVELS = range(1, MOST_LEVEL + 1)
 # Tolerance at and above which the finest level of subpixel cells is MOST_LEVEL − 1. The value was chosen because errors
 # that remain at that level are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
-# Least level of refinement of pictures without footprints; at level n, a pixel has 2ⁿ × 2ⁿ subpixel cells. The value
-# exceeds 0, because the variation of colours within a pixel is unknown with one ray per pixel.
+# Least level of refinement if rays show the colours of points, not means over parts of a pixel (footprints). At level
+# n, a pixel has 2ⁿ × 2ⁿ subpixel cells with one ray each. The value exceeds 0, because one ray per pixel shows nothing
+# of the variation of colours within the pixel.
 LEAST_LEVEL_OF_POINTS = 2
 # Estimated error of a pixel with one ray, divided by the contrast between the colours of the pixel and its neighbours:
 # CONTRAST_BASE + CONTRAST_PER_UNEVENNESS · unevenness + CONTRAST_PER_CHANGE · change. The unevenness is the relative
@@ -67,7 +68,7 @@ BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 
 def share_beyond(distance: float) -> float:
-    """Return the share of a pixel's filter beyond a distance from its centre on one side of one axis [pixels]."""
+    """Return the share of the pixel filter's weight beyond a distance from its centre [pixels], on one side of it."""
     scale = FILTER_SIGMA * math.sqrt(2.0)
     return 0.5 - 0.5 * math.erf(distance / scale) / math.erf(FILTER_CUT / scale)
 

@@ -34,7 +34,7 @@ def reverse_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
-    """Flip each bit by a hash of the bits above it, by Laine and Karras's hash of the reversed bits."""
+    """Flip each bit or not, depending on a hash of the higher bits: the hash of Laine and Karras, on reversed bits."""
     x = reverse_bits(value)
     x += seed
     x ^= x * MIX_1

@@ -37,13 +37,13 @@ class Sky:
 
 @wp.struct
 class SkyDistribution:
-    """The two probability distributions of a sky's samples: over rings and azimuths of (u, v), and over the sky."""
+    """Two probability distributions of directions to a sky: over a polar grid of (u, v), and over blocks of the sky."""
 
     ring_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rings of (u, v)
     starts: wp.array(dtype=wp.int32)  # index of each ring's first azimuth sample; then the total number of samples
     spoke_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the azimuth samples within their ring
-    # Probability densities per unit of ln|(u, v)| and per radian. The first ring is a disc, and its densities are per
-    # area.
+    # Probability density of each azimuth sample of (u, v), per unit of ln|(u, v)| and per radian. The first ring is a
+    # disc, and its densities are per area.
     densities: wp.array(dtype=wp.float32)
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc of the first ring
     per_log: wp.float32  # number of rings per unit of ln|(u, v)|
@@ -171,7 +171,7 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 def gain_over_cosine(
     reflection: Reflection, finish: wp.int32, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f
 ) -> wp.float32:  # fmt: skip
-    """Return the gain (geometry factor) of ``light_samples.h`` divided by cos θi.
+    """Return the gain (geometry factor) of ``light_samples.h`` divided by cos θi, the cosine of light and normal.
 
     The integral over the sky is computed over (u, v) instead of solid angle ω, and du dv = dω cos θi.
     """
@@ -277,8 +277,8 @@ def sample_sky(
         uv = wp.vec2f()
         light = wp.vec3f()
         along = wp.vec3f()
-        # The two conversions between the frames are written out. With functions of ``sample_frames``, the compiler
-        # would contract other products, and pictures would differ by rounding errors from those of earlier versions.
+        # Directions are converted between the world and the shading frame without the functions of ``sample_frames``.
+        # With these functions, the compiler would fuse other multiplications and additions, and rounding would change.
         if point[0] < table.sky_share:
             along = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
             light = wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))

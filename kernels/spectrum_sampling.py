@@ -21,7 +21,7 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 @functools.cache
 def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
-    """Return the kernel that samples the power spectrum of a height field on azimuths, and the type of sampled rows.
+    """Return the kernel that samples a power spectrum along azimuths (polar angles), and the type of sampled rows.
 
     Args:
         lanes: Number of terms (weights of basis functions) in a row of the table of Fourier coefficients.
@@ -43,10 +43,10 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Compute integrals of the spectrum along one azimuth; each integral is weighted by the spline of one ring.
+        """Compute integrals of the power spectrum along one azimuth, each weighted by the spline of one ring.
 
-        The rings belong to one octave. The integrals of consecutive rings are written to consecutive rows from
-        ``begin`` on.
+        An azimuth is a polar angle of the frequency, and a ring is a circle of constant frequency. The rings belong to
+        one octave. Integrals of consecutive rings are written to consecutive rows from ``begin`` on.
         """
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
@@ -56,12 +56,13 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first: wp.int32,
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Compute integrals of the power spectrum along azimuths; each integral is weighted by the spline of one ring.
+        """Compute integrals of the power spectrum along azimuths, each weighted by the spline of one ring.
 
-        ``log_low`` is the natural logarithm of the first ring's frequency, and ``start`` is the index of the row of
-        azimuth 0. The spectrum is sampled ``divisions`` times from one ring to the next, up to the frequency
-        ``highest``. The Fourier coefficient with the index ``excluded`` is omitted. If rows are amplitudes, ``bases``
-        has the values of the basis functions at several κ = w/λ.
+        An azimuth is a polar angle of the frequency; a ring is a circle of constant frequency. ``log_low`` is the
+        natural logarithm of the first ring's frequency, and ``start`` is the index of the output row of azimuth 0. The
+        spectrum is sampled ``divisions`` times from one ring to the next, up to the frequency ``highest``. The Fourier
+        coefficient with the index ``excluded`` is omitted. If coefficients are stored as amplitudes, ``bases`` has the
+        values of their basis functions at several κ = w/λ.
         """
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
@@ -79,7 +80,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """Return the kernel that sums the spectral lines near each azimuth, and the type of the resulting rows."""
+    """Return the kernel that sums spectral lines near each azimuth (polar angle), and the type of its output rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -89,7 +90,9 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
         ends: wp.array(dtype=wp.int32), rings: wp.int32, blur: wp.float32, first: wp.int32,
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute integrals of a line spectrum along azimuths; each integral is weighted by the spline of one ring.
+        """Compute integrals of a line spectrum along azimuths (polar angles), each weighted by the spline of one ring.
+
+        A ring is a circle of constant frequency.
 
         Args:
             coefficients: Powers of the spectral lines, one row of basis terms per Fourier coefficient. Lines are
@@ -129,16 +132,16 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
-    """Return the kernels that integrate spectrum rows over λ. A row has the weights of ``lanes`` basis functions.
+    """Return the kernels that integrate rows of a power spectrum over λ to colours.
 
-    The results are coefficients of ``w_basis_size`` functions of w, for X, Y and Z. w is the normal component of the
-    scattering vector.
+    A row has the weights of ``lanes`` basis functions for one frequency. A colour has coefficients of ``w_basis_size``
+    functions of w, for X, Y and Z. w is the normal component of the scattering vector.
     """
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths whose colours a thread computes together. The value is limited by the CPU's registers, into
-    # which the sums of all these azimuths must fit.
+    # Number of azimuths (polar angles) whose colours a thread computes together. The value is limited by the CPU's
+    # registers, into which the sums of all these azimuths must fit.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -150,7 +153,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy the spectrum rows for the colours of one octave to working memory, for a few azimuths."""
+        """Copy the rows of the spectrum for one octave of colours to working memory, for a few azimuths (angles)."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -161,7 +164,10 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         first_azimuth: wp.int32, rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths from ``length`` rows each. ``skipped`` rows precede the first colour."""
+        """Compute colours along a few azimuths (polar angles) from ``length`` rows of the spectrum per azimuth.
+
+        A row belongs to one ring (circle). ``skipped`` rows precede the row at the ring of the first colour.
+        """
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
@@ -188,7 +194,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         terms: wp.int32, rings: wp.int32, row_count: wp.int32, first: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths of a line spectrum, each with ``row_count`` rings.
+        """Compute colours along a few azimuths (polar angles) of a line spectrum with ``row_count`` rings (circles).
 
         Some of these rings precede or follow the octaves of the table. The filter that converts values to spline
         coefficients requires these rings.
@@ -205,7 +211,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that adds rows of colours to the rows of a colour table, times a factor for each ring."""
+    """Return the kernel that adds colours to the rows of a colour table, times a factor for each ring (circle)."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -213,7 +219,10 @@ def adder(w_basis_size: int) -> wp.Kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows by factors of their rings, and add the products to ``rows_out``; overwrite it if ``begins``."""
+        """Multiply rows of colours by the factors of their rings (circles of constant |(u, v)|).
+
+        Add the products to ``rows_out``, or replace its values if ``begins`` is true.
+        """
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

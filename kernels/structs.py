@@ -76,8 +76,8 @@ class Textures:
 
     texels: wp.array(dtype=wp.vec4f)  # linear RGBA of all levels of all images, row by row; the first row is at v = 1
     levels: wp.array2d(dtype=wp.int32)  # for each level of each image: index of its first texel, width and height
-    # For each texture: index of its first level, number of its levels, and how it continues beyond its edges along u
-    # and v.
+    # For each texture: index of its first level in ``levels``, number of its levels, and how it continues beyond its
+    # edges along u and v.
     table: wp.array2d(dtype=wp.int32)
     rows: wp.array(dtype=wp.int32)  # row of each face in the next array; −1 without a material
     of_base_colour: wp.array(dtype=wp.int32)  # texture of each row's base colour; −1 without one
@@ -94,8 +94,8 @@ class Transparency:
     The arrays are empty if the scene is opaque.
     """
 
-    # For each row of materials (see ``Textures.rows``): alpha below which rays pass a face. The number 0 stands for an
-    # opaque material. A negative number stands for a blended material, which more rays pass the smaller its alpha is.
+    # For each material (its index is in ``Textures.rows``): alpha below which rays pass a face. 0 stands for an opaque
+    # material. A negative number stands for a blended material: the smaller its alpha, the more rays pass.
     cutoffs: wp.array(dtype=wp.float32)
     vertex_alphas: wp.array(dtype=wp.float32)  # alpha at the vertices; empty if it is 1 everywhere
 

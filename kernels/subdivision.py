@@ -39,7 +39,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Add the subpixel cells of pixels from ``begin`` to ``end`` to sums for each pixel and its eight neighbours."""
+    """Add the colours of the cells of subdivided pixels from ``begin`` to ``end`` to these pixels and neighbours."""
 
 
 @wp.kernel
@@ -378,7 +378,7 @@ def accumulate(
     first: wp.int32, run: wp.int32,
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add the colours, errors and illuminated pixels by one light, or a part of it, to the sums over all lights."""
+    """Add colours, errors and marks of illuminated pixels under one light, or a part of it, to sums over all lights."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]

@@ -7,8 +7,9 @@ HORIZON = 1e-6
 # Directions with smaller cosines use the factors of this cosine. With twice the cosine, all directions beyond 86° would
 # share a factor.
 LOWEST = 0.0349
-# Errors are relative to a value, or to a floor f if the value is smaller. This number is the floor as a share of the
-# reference luminance Y*. It was chosen freely: with twice as much, dark pixels are refined less.
+# The error of a colour is divided by the magnitude of the colour, or by a floor if the magnitude is smaller. This
+# number is the floor as a share of the reference luminance Y*, about that of the brightest pixels. The value was chosen
+# freely: if it is doubled, dark pixels are refined less.
 FLOOR = 1e-3
 # Share of the directions or pixels that must have an error within the tolerance. The reference luminance Y* is at least
 # the percentile of the luminance Y at this share. The value is below 1, so that a few outliers do not determine the

@@ -54,7 +54,7 @@ def luminance_floor(
     while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
         left -= wp.float32(histogram[GROUPS + place])
         place -= 1
-    # The percentile is estimated as the luminance in the middle of the bin in which it lies.
+    # The percentile of the luminance is estimated as the middle of the histogram's bin in which the percentile lies.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
     floor_out[0] = wp.max(FLOOR * bright, TINY)
 
@@ -66,7 +66,7 @@ def count_marks(
     run: wp.int32,
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the pixels whose mark is not 0."""
+    """Count the pixels that are selected for subdivision into cells: those with a mark other than 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks[i] != wp.uint8(0):
             atomic_increment(counts_out, 0)
@@ -78,7 +78,7 @@ def running_max(
     begins: wp.bool,
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Set the output to a count if the count exceeds the output. If ``begins`` is true, set it in any case."""
+    """Replace the output by a count of pixels if the count is larger, or in any case if ``begins`` is true."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -113,7 +113,7 @@ def mark_shared(
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark a pixel as ``SHARED`` if it has no mark, and if it and its eight neighbours all have a level above 0."""
+    """Mark a pixel as ``SHARED`` if it has no mark, but it and all of its eight neighbours have levels above 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED
@@ -124,7 +124,7 @@ def compact_level(
     levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """List the pixels whose level is ``level``.
+    """List the pixels whose refinement level is ``level``.
 
     The order of the pixels is arbitrary, because tiles (subdivided pixels) do not depend on each other.
     """
@@ -139,7 +139,7 @@ def copy_batch(
     first: wp.int32, run: wp.int32,
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Copy the next pixels of a list to the batch of pixels whose cells are computed next.
+    """Copy the next pixels of a list to the batch of pixels whose subpixel cells are computed next.
 
     If the list is too short, the remaining entries of the batch are −1.
     """
@@ -157,7 +157,7 @@ def advance_batch(
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Increase the number of copied pixels of a list by ``count``, and store whether pixels of the list remain."""
+    """Add ``count`` to the number of pixels of a list that were copied, and store whether pixels of the list remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

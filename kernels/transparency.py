@@ -32,12 +32,12 @@ def alpha_at(
     surface: SurfaceArrays, textures: Textures, transparency: Transparency, face: wp.int32, share0: wp.float32,
     share1: wp.float32,
 ) -> wp.float32:  # fmt: skip
-    """Return the alpha at a point of a face."""
+    """Return the alpha (opacity) at a point of a face."""
 
 
 @wp.func
 def cutoff_of(textures: Textures, transparency: Transparency, face: wp.int32) -> wp.float32:
-    """Return the cut-off of a face's material: it is 0 if the material is opaque, and negative if it is blended."""
+    """Return the alpha below which rays pass a face (cut-off): 0 for opaque, negative for blended materials."""
     row = textures.rows[face]
     result = wp.float32(0.0)
     if row >= 0:
@@ -47,7 +47,7 @@ def cutoff_of(textures: Textures, transparency: Transparency, face: wp.int32) ->
 
 @wp.func
 def threshold_of(seed: wp.uint32, index: wp.int32, layer: wp.int32) -> wp.float32:
-    """Return the threshold of a blended face, 0 to 1.
+    """Return the threshold of a blended face for one ray, 0 to 1: the ray passes the face where alpha is smaller.
 
     Args:
         seed: Hash of a pixel.

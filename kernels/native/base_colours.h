@@ -12,8 +12,8 @@ namespace warpdiff {
 struct UvFootprint {
     float changes[4];
 
-    // Compute the changes of the texture coordinates at a hit on a face. `place` has the barycentric coordinates of the
-    // hit.
+    // Compute the changes of the texture coordinates around a hit on a face, over one standard deviation of the ray's
+    // filter. `place` has the barycentric coordinates of the hit.
     WARPDIFF_INLINE UvFootprint(const float* positions, const float* uvs, const int* corners, const float* place,
         const float* to_view, const FilterSteps& filter, float least_facing)
     {

@@ -34,7 +34,8 @@ struct Colour {
     float xyz[3];
 };
 
-// Return X, Y and Z of pixel i: the scalar products of a sum of table rows with the basis functions at the pixel's w.
+// Return X, Y and Z of pixel i: scalar products of a sum of table rows with basis functions of w, the normal component
+// of the scattering vector, at the w of the pixel.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i)
 {
@@ -56,8 +57,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Convert a weighted sum of table rows to a colour, multiply the colour by `share`, and add it to pixel i. The colour
-// may be slightly negative, because some weights of rows are negative. Negative colours count as 0.
+// Convert a weighted sum of rows of a colour table to XYZ, multiply the result by `share`, and add it to pixel i. XYZ
+// may be slightly negative, because some weights of rows are negative. Negative values count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)

@@ -31,8 +31,8 @@ struct AzimuthRows {
     }
 };
 
-// Interpolate the rows of the spectrum halfway between two azimuths, on all rings. The Lagrange polynomial through the
-// four nearest azimuths on each side is used.
+// Interpolate the rows of the power spectrum on all rings (circles), halfway between two azimuths (polar angles). The
+// Lagrange polynomial through the four nearest azimuths on each side is used.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -66,8 +66,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     const int* const counts = numbers<const int>(azimuths_of);
     const int coarse = counts[octave], count = counts[octave + 1], size = rings * ROW;
     const int more = octave + 2 < azimuths_of.shape[0] ? counts[octave + 2] / count : 0;
-    // With few rings per octave, two octaves have fewer rows than the filter for spline coefficients requires. The
-    // remaining rows are taken from a third octave.
+    // With few rings (circles) per octave, two octaves have fewer rows of the spectrum than the filter for spline
+    // coefficients requires. The remaining rows are taken from a third octave.
     const int left = (length - 1 - rings) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
     auto rows_of_azimuth = [&](int of, int azimuth) {
@@ -88,8 +88,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     }
 }
 
-// Replace the values in the rows along one azimuth by the coefficients of the quadratic spline that passes through
-// these values. A recursive filter, which runs forwards and then backwards, computes the coefficients.
+// Replace samples of the power spectrum along one azimuth (polar angle) by the coefficients of the quadratic spline
+// that passes through them. A recursive filter, which runs forwards and then backwards, computes the coefficients.
 template <int TERMS>
 WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows, int length)
 {
@@ -121,10 +121,10 @@ struct FunctionVectors {
     }
 };
 
-// Compute the colour at one ring on AZIMUTHS azimuths as a weighted sum over `taps` rows of the spectrum. A matrix
-// converts the terms of a row to coefficients of the basis functions of w, the normal component of the scattering
-// vector; each row has its own matrix, the same for all azimuths. The weights of the rows for X, Y and Z are in
-// `colour`. The rows of neighbouring azimuths are `apart` floats from each other in memory.
+// Compute the colours at one ring (circle) on AZIMUTHS azimuths (polar angles): weighted sums over `taps` rows of the
+// spectrum. A matrix converts the terms of a row to coefficients of the basis functions of w, the normal component of
+// the scattering vector; each row has its own matrix, the same for all azimuths. The weights of the rows for X, Y and Z
+// are in `colour`. The rows of neighbouring azimuths are `apart` floats from each other in memory.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
@@ -163,8 +163,8 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum per azimuth. The first `skipped` rows
-// belong to rings before the ring of the first colour.
+// Compute colours along AZIMUTHS azimuths (polar angles) from `length` rows of the spectrum per azimuth, one per ring
+// (circle). The first `skipped` rows belong to rings before the ring of the first colour.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

@@ -25,8 +25,9 @@ namespace warpdiff {
 // rounded up to a multiple of it, so that all vectors are full. Compiled code would round differently in a vector that
 // is filled only in part.
 constexpr int ABREAST = batch_of(8);
-// Largest number of rings per segment, which is a group of rings that are processed together. On the CPU, the value is
-// limited by local arrays, in which the weights and table rows of all rings are stored. A GPU needs no such arrays.
+// Rings are circles of constant |(u, v)| in the colour table. A segment is a group of rings that are processed
+// together. The value is its largest number of rings. On the CPU, it is limited by the local arrays with the weights
+// and table rows of all rings of a segment. A GPU needs no such arrays.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
 // A footprint counts as wide if its standard deviation exceeds this share of |(u, v)|. `ring_sum.h` computes the
 // colours of wide footprints. Only tables for a coherence window distinguish wide footprints. The value was fitted to
@@ -37,12 +38,12 @@ constexpr float WIDE = 0.25f;
 // the standard deviations of the angle and of ln |(u, v)|. Footprints beyond these limits surround the mirror
 // direction, and polar coordinates do not describe such footprints.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
-// The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger
-// variances, the weights are values of a Gaussian, and not all rings are required. `MOST_APART` is the largest distance
-// between those rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the blur,
-// or of a feature of the colours over rings, so that the smallest σ has the largest influence. `CURVES` is the standard
-// deviation of the narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching
-// function and reflectance.
+// A look-up adds rings of the colour table (circles of constant |(u, v)|) with weights that blur over rings. Weights
+// are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger variances, they are values
+// of a Gaussian, and not all rings are added. `MOST_APART` is the largest distance between added rings, in units of
+// 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the blur, or of a feature of the colours over rings.
+// `CURVES` is the standard deviation over ln λ of the narrowest colour curve: the product of illuminant,
+// colour-matching function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
 // Gaussian with which rings are weighted if the blur across rings is wide. It is truncated at `deviations` standard
@@ -99,8 +100,8 @@ struct Segments {
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows of the table that are added for one ring, one row per azimuth. `row` is the index of the first row, `count` the
-// number of rows, and `taps` the index of the first weight in the table of weights.
+// Rows of the colour table that are added for one ring (circle), one row per azimuth. `row` is the index of the first
+// row, `count` the number of rows, and `taps` the index of the first weight in the table of weights.
 struct RingRows {
     int row, count, taps;
 };
@@ -290,8 +291,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Compute the position of each part of a footprint in the table. Compute also its two standard deviations: across the
-// rings of the table, and across the azimuths.
+// Compute the position of each part of a footprint in the colour table. Compute also the two standard deviations of the
+// part: across the rings (circles) of the table, and across the azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -326,7 +327,8 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
         }
 }
 
-// Select the rings that are added for each part of a footprint: first and last ring, spacing and weights of the rings.
+// Select the rings (circles) of the table that are added for each part of a footprint: first and last ring, spacing and
+// weights of the rings.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
@@ -341,10 +343,10 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // `across2` is a variance in angle over which colours are smooth. In tables for a coherence window, it is
-            // the variance of the footprint plus the squared distance between azimuth samples. In tables of a light
-            // source, the distance is not added: such a table has colours only for footprints that are wider than the
-            // blur of the spectral lines, which is proportional to this distance.
+            // Over the angle √`across2` along a ring (circle), blurred colours are smooth. In tables for a coherence
+            // window, `across2` is the variance of the footprint plus the squared distance between azimuth samples. In
+            // tables of a light source, the distance is not added: such a table has colours only for footprints that
+            // are wider than the blur of the spectral lines, which is proportional to this distance.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -364,8 +366,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // If only every n-th ring is added, the index of the first added ring is a multiple of n, so that
-            // neighbouring pixels use the same rings.
+            // If only every n-th ring of the table is added, the index of the first added ring is a multiple of n, so
+            // that neighbouring pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -373,7 +375,7 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Position in a list of parts of footprints: the index of the next part, and the index of the next ring of that part.
+// Position in a list of parts of footprints: the index of the next part, and of the next table ring within that part.
 struct NextRing {
     int part, ring;
 };
@@ -480,9 +482,9 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Table rows and weights of all rings of segments. A segment is a group of consecutive rings. On the CPU, they are
-// stored for a whole batch before any ring is summed. A GPU computes the rows and weights of a ring when it sums the
-// ring.
+// Table rows and weights of all rings of several segments. A segment is a group of consecutive rings (circles of
+// constant |(u, v)|). On the CPU, rows and weights of a whole batch are stored before any row is added. A GPU computes
+// the rows and weights of a ring when it adds the rows of this ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;

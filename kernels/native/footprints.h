@@ -86,7 +86,8 @@ struct HitDifferentials {
     }
 };
 
-// Derivatives of a hit, and of the vertex attributes that are interpolated with its barycentric coordinates.
+// Derivatives with respect to displacements of the camera ray: of a hit on a face, and of vertex attributes that are
+// interpolated with the barycentric coordinates of the hit.
 struct FaceDifferentials : HitDifferentials {
     float normal1[3], normal2[3], tangent1[3], tangent2[3], blend[3], tangent[3];
 };

@@ -12,8 +12,9 @@
 
 namespace warpdiff {
 
-// Number of values that `differentiate_lobe` writes per pair of a direction and a wavelength: derivatives with respect
-// to q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
+// Number of values that `differentiate_lobe` writes for a weighted sum of Fourier coefficients: the derivatives with
+// respect to the centre (q_x, q_y) of the weights, their matrix (M_xx, M_xy, M_yy), the argument x of the Chebyshev
+// series, and the lengths L_x and L_y of the patch; two sums with the orders r and s as further factors; the sum.
 constexpr int LOBE_DERIVATIVES = 11;
 
 // Compute the first `count` Chebyshev polynomials at x.
@@ -56,7 +57,7 @@ struct Lobe {
         step_x = table.step_x, step_y = table.step_y, exponent = table.exponent;
     }
 
-    // Find the rows and columns of the block that contain coefficients with weights that are not negligible.
+    // Find the rows and columns of the block of Fourier coefficients in which weights are not negligible.
     template <class Table>
     WARPDIFF_INLINE void find_range(const Table& table)
     {
@@ -69,9 +70,9 @@ struct Lobe {
         last_row = within(qy / step_y + reach_y, table.first_row, table.rows, 0);
     }
 
-    // Round a position up or down to a coefficient, and return its index in the block, from 0 to `count` − 1. If the
-    // lower end of a range of indices is beyond the block, the result is `count`. If the upper end of the range is
-    // before the block, the result is −1. The range is then empty.
+    // Round the end of a range of frequencies to a Fourier coefficient of the block. Return the index of its row or
+    // column, from 0 to `count` − 1. If the lower end of the range is beyond the block, the result is `count`. If the
+    // upper end of the range is before the block, the result is −1. The range is then empty.
     static WARPDIFF_INLINE int within(double position, int first, int count, int up)
     {
         const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;
@@ -79,8 +80,8 @@ struct Lobe {
             int)(up ? wp::min(wp::max(index, 0.0), (double)count) : wp::max(wp::min(index, (double)count - 1.0), -1.0));
     }
 
-    // Return the weight of the coefficient in a row and a column, and set `dx` and `dy` to its distances from the
-    // centre. The weight is 0 outside of the ellipse in which coefficients are summed.
+    // Return the Gaussian weight of the Fourier coefficient in a row and a column. Set `dx` and `dy` to the distances
+    // of its frequency from the centre. The weight is 0 outside of the ellipse in which coefficients are summed.
     template <class Table>
     WARPDIFF_INLINE double weight(const Table& table, int row, int column, double& dx, double& dy) const
     {
@@ -123,7 +124,8 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
     return sum;
 }
 
-// Compute the derivatives of the sum of a pair (a direction and a wavelength), in the order of `LOBE_DERIVATIVES`.
+// Compute the derivatives of the weighted sum of Fourier coefficients for a pair of a direction and a wavelength, in
+// the order in which `LOBE_DERIVATIVES` has them.
 template <int MOST_TERMS, class Table, class Pairs, class Values>
 WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
 {
@@ -149,8 +151,8 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
             sums[3] -= 2.0 * dx * dy * value;
             sums[4] -= dy * dy * value;
             sums[5] += weight * dot_rows(coefficient, slopes, table.terms);
-            // The frequency of the coefficient is r/L_x. The distance d_x from it therefore grows by r/L_x² per unit of
-            // L_x.
+            // The frequency of the Fourier coefficient is r/L_x. The distance d_x of the centre from it therefore grows
+            // by r/L_x² per unit of L_x.
             sums[6] += along_x * r * lobe.step_x * lobe.step_x;
             sums[7] += along_y * s * lobe.step_y * lobe.step_y;
             sums[8] += r * value;
@@ -161,7 +163,8 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
     for (int k = 0; k < LOBE_DERIVATIVES; ++k) out[k] = sums[k];
 }
 
-// Write the values of the Chebyshev polynomials of a pair (a direction and a wavelength), which `spread_lobes` uses.
+// Write the values of the Chebyshev polynomials at the κ = w/λ of a pair of a direction and a wavelength. The function
+// `spread_lobes` uses these values.
 template <class Table, class Pairs>
 WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, int pair)
 {

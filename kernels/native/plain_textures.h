@@ -56,7 +56,7 @@ struct HitTextures {
 };
 
 // Write metallic, roughness with its standard deviation, and emission of textures at the hits from `begin` to `end`.
-// `deviation` is the standard deviation of the rays' filter [pixels]; if it is 0, textures are sampled at points.
+// `deviation` is the standard deviation of each ray's filter [pixels]; if it is 0, textures are sampled at points.
 template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_plain_textures(const Camera& camera, const Surface& surface, const Textures& textures,
     const Pixels& pixels, float deviation, float least_facing, int begin, int end)

@@ -23,8 +23,8 @@ struct Points {
     Batch<N, int> first_ring, octave;
 };
 
-// Compute the positions of N points in the table. Unused entries of a batch are computed, too, because compilers
-// vectorise a loop of fixed length.
+// Compute the positions of N points (u, v) in the colour table. Unused points of a batch are computed, too, because
+// compilers vectorise a loop of fixed length.
 template <int N, class Table>
 WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 {
@@ -68,7 +68,7 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
     }
 }
 
-// Return the weighted sum of the nine table rows around a point: three rings on three azimuths.
+// Return the weighted sum of the nine rows of the colour table around a point: at three rings on three azimuths.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
 {
@@ -83,7 +83,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 #pragma unroll
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
-            // The rings from index `left` on are in the next octave of the table, which has another number of azimuths.
+            // The rings (circles) from index `left` on are in the next octave of the table (a doubling of the radius),
+            // which has another number of azimuths.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);

@@ -13,14 +13,16 @@
 
 namespace warpdiff {
 
-// The kernel module passes these template arguments: BLOCK_RINGS is the number of rings of a block, RINGS_TOGETHER the
-// number of rings per thread of `spread_pixels`, and MOST_TERMS the largest number of terms of a Chebyshev series.
+// Template arguments of the functions below, which kernels/polar_sums.py sets: BLOCK_RINGS is the number of rings
+// (circles of the polar grid) per block, RINGS_TOGETHER the number of rings that one thread of `spread_pixels`
+// processes, and MOST_TERMS the largest number of terms of a Chebyshev series.
 constexpr double RADIANS_PER_TURN = 6.283185307179586;
-// Number of columns of Fourier coefficients whose Gaussian weights are computed together.
+// Number of columns of the block of Fourier coefficients whose Gaussian weights are computed together.
 constexpr int COLUMNS_TOGETHER = 128;
 
-// Weights with which a sample of the spectrum contributes to the rings `ring` − 1, `ring` and `ring` + 1. `k` is the
-// index of the sample in a block of rings. Sample 0 is about one and a half rings before the first ring of the block.
+// Weights with which a sample of the spectrum contributes to three rings (circles of the polar grid), whose indices are
+// `ring` − 1, `ring` and `ring` + 1. `k` is the index of the sample along an azimuth within a block of rings. Sample 0
+// is about one and a half ring spacings before the first ring of the block.
 struct SampleWeights {
     int ring;
     double weights[3];
@@ -36,7 +38,8 @@ struct SampleWeights {
     }
 };
 
-// Return one axis' share of the exponent −ln g, where g is the Gaussian weight of a Fourier coefficient.
+// The Gaussian weight of a Fourier coefficient is a product of two factors, one for x and one for y. Return the
+// negative logarithm of the factor of one axis.
 template <class Grid>
 WARPDIFF_INLINE double exponent_along(const Grid& grid, double position, int order, double step)
 {
@@ -44,7 +47,7 @@ WARPDIFF_INLINE double exponent_along(const Grid& grid, double position, int ord
     return grid.falloff * away * away;
 }
 
-// Add the coefficients near the frequency (qx, qy), multiplied by their Gaussian weights, to `total`.
+// Add the Fourier coefficients near the frequency (qx, qy), multiplied by their Gaussian weights, to `total`.
 template <class Table, class Grid>
 WARPDIFF_INLINE void add_neighbours(const Table& table, const Grid& grid, double qx, double qy, double* total)
 {
@@ -74,7 +77,8 @@ WARPDIFF_INLINE void add_neighbours(const Table& table, const Grid& grid, double
     }
 }
 
-// Compute the spectrum along one azimuth, at the rings of a block (a group of consecutive rings).
+// Compute the power spectrum along one azimuth (polar angle of the frequency), at a group of consecutive rings. A ring
+// is a circle of constant frequency.
 template <int BLOCK_RINGS, int MOST_TERMS, class Table, class Grid, class Values>
 WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, int direction, Values& values_out)
 {
@@ -120,8 +124,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
         const int first_direction = numbers<const int>(grid.first_directions)[block];
         const double* const radii = numbers<const double>(grid.radii) + numbers<const int>(grid.first_radii)[block];
         if (radii[count - 1] < radius - reach || radii[0] > radius + reach) continue;
-        // Only azimuths from `begin` to `end` have samples near the coefficient. The range is wider by one azimuth on
-        // each side because of rounding errors.
+        // Only azimuths from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The range is
+        // wider by one azimuth on each side because of rounding errors.
         int begin = 0, end = azimuths;
         if (radius > 1.01 * reach) {
             const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;
@@ -140,8 +144,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
             if (half2 < -1.0e-9 * reach * reach) continue;
             const double half = wp::sqrt(wp::max(half2, 0.0));
             if (along + half < radii[0] || along - half > radii[count - 1]) continue;
-            // Only samples from `low` to `high` are near the coefficient. The range is wider by one sample on each side
-            // because of rounding errors.
+            // Along this azimuth, only samples at frequencies from `low` to `high` are near the Fourier coefficient.
+            // The range of their indices is wider on each side because of rounding errors.
             const double per_sample = (double)divisions / grid.step;
             const double low = wp::max(along - half, radii[0]), high = wp::min(along + half, radii[count - 1]);
             const int from = wp::max((int)wp::floor((wp::log(low) - first_log) * per_sample + 1.5 * divisions) - 2, 0);
@@ -172,7 +176,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
     }
 }
 
-// Position of a direction on one ring: four consecutive azimuth samples around it, and their cubic B-spline weights.
+// Position of a direction on one ring (circle) of the polar grid: the four azimuth samples around it, and their cubic
+// B-spline weights.
 template <int BLOCK_RINGS>
 struct AroundRing {
     long long start;
@@ -193,7 +198,7 @@ struct AroundRing {
         weights[3] = t * t * t / 6.0;
     }
 
-    // Return the index of the row of values at azimuth sample j, where j is 0 to 3.
+    // Return the index of the table row with the spectrum at azimuth sample j, where j is 0 to 3.
     WARPDIFF_INLINE long long row(int j) const
     {
         const int azimuth = first + j;
@@ -201,7 +206,8 @@ struct AroundRing {
     }
 };
 
-// Rings that contribute to the colour of one direction, and their weights in X, Y and Z.
+// Rings (circles of constant frequency) whose spectrum contributes to the colour of one direction, and their weights in
+// X, Y and Z.
 struct ColourRings {
     int first, count, entry;
     double share, place;
@@ -219,7 +225,8 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights in X, Y and Z of contributing ring m. They are 0 if m is not the index of such a ring.
+    // Compute the weights in X, Y and Z of ring m among the rings that contribute to the colour. The weights are 0 if m
+    // is not the index of such a ring.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -229,8 +236,8 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at contributing ring m. If m is not the index of such a ring, return the reflectance at
-    // the nearest contributing ring.
+    // Return the reflectance at the wavelength of ring m among the rings that contribute to the colour. If m is not the
+    // index of such a ring, return the reflectance at the nearest of these rings.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {
@@ -240,8 +247,8 @@ struct ColourRings {
     }
 };
 
-// Compute the Chebyshev polynomials at the κ of a direction at ring m, multiplied by the reflectance there. Each ring
-// has another wavelength λ, and κ is w/λ.
+// Compute the Chebyshev polynomials at κ = w/λ, multiplied by the reflectance at λ. At the wavelength λ, the frequency
+// of a direction is on ring m, a circle of the polar grid.
 template <class Grid, class Pixels>
 WARPDIFF_INLINE void polynomials_at(
     const Grid& grid, const Pixels& pixels, const ColourRings& rings, int pixel, int m, int terms, double* polynomials)
@@ -295,8 +302,8 @@ WARPDIFF_INLINE void sum_rings(
     for (int c = 0; c < 3; ++c) numbers<double>(xyz_out)[3LL * pixel + c] = gain * sums[c];
 }
 
-// Add the contributions of all directions to the adjoints of the values at a few rings. An adjoint is the derivative of
-// a loss. The function is the transpose of `sum_rings`.
+// Add the contributions of the colours of all directions to the adjoints of the power spectrum on a few rings (circles
+// of the polar grid). An adjoint is the derivative of a loss. The function is the transpose of `sum_rings`.
 template <int BLOCK_RINGS, int RINGS_TOGETHER, int MOST_TERMS, class Grid, class Pixels, class Values>
 WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int group, Values& values_out)
 {
@@ -314,8 +321,8 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
             double xyz[3];
             rings.weights(pixels, ring - rings.first, xyz);
             weights[k] = gain * (adjoint[0] * xyz[0] + adjoint[1] * xyz[1] + adjoint[2] * xyz[2]);
-            // The polynomials of rings that do not contribute to the colour are not computed, because their values may
-            // be huge.
+            // For rings that do not contribute to the colour of this direction, the polynomials are not computed,
+            // because their values may be huge.
             const bool used = ring >= rings.first - 1 && ring <= rings.first + rings.count;
             if (used) polynomials_at(grid, pixels, rings, pixel, ring - rings.first, terms, polynomials[k]);
         }

@@ -14,22 +14,23 @@
 
 namespace warpdiff {
 
-// Number of azimuths that are processed together. The value is limited by the number of elements of a SIMD vector.
+// Number of azimuths (samples along a ring of the colour table) that are processed together. The value is limited by
+// the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
 // Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
 // directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
 // values are limited by time: a larger distance adds more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// Not all rings of the table are added. The distance between added rings has two upper limits. `RINGS_APART` is the
-// limit in ln |(u, v)|, because colours are smooth over this distance. `RINGS_PER_DEVIATION` is the limit in standard
-// deviations of the Gaussian in the direction of (u, v). The distance is doubled for rings whose radius is below
-// `WITHIN` times the smaller standard deviation. If the distance was doubled everywhere, sums over narrow Gaussians
-// would be inaccurate.
+// The colour of a footprint, a Gaussian over (u, v), is a sum over some rings (circles) of the colour table. Two limits
+// apply to the distance between added rings: `RINGS_APART` in ln |(u, v)|, over which colours are smooth, and
+// `RINGS_PER_DEVIATION` in standard deviations of the Gaussian in the direction of (u, v). The distance is doubled for
+// rings whose radius is below `WITHIN` times the smaller standard deviation. If it was doubled everywhere, sums over
+// narrow Gaussians would be inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Smallest radius |(u, v)| of the rings that are added. It is the smaller of two products: `INNERMOST` times the
-// smaller standard deviation of the footprint's Gaussian, and `INNERMOST_OF_LOBE` times the standard deviation of the
-// peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to that
-// of the peak. The values are limited by time: smaller values add more rings.
+// Rings (circles) of the colour table are added down to a smallest radius |(u, v)|. It is the smaller of two products:
+// `INNERMOST` times the smaller standard deviation of the footprint's Gaussian, and `INNERMOST_OF_LOBE` times the
+// standard deviation of the peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the
+// Gaussian, relative to that of the peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // Rule for the mip level (a blurred copy of the table) from which rows are added. `MOST_BLUR2` is the maximum variance
 // of the blur of the level, relative to the variance of the footprint's Gaussian along the ring. `AZIMUTHS_APART` is
@@ -95,8 +96,8 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the table rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
-// because it may be the first azimuth of the next arc.
+// Add the table rows on an arc of a ring (circle of constant |(u, v)|), from the azimuth `first` to the azimuth `end`.
+// The azimuth `end` is excluded, because it may be the first azimuth of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
@@ -158,8 +159,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // The nearer a ring is to the mirror direction, the larger is the angle that the Gaussian covers on it. More
-        // blurred mip levels then suffice.
+        // The smaller the radius of a ring is, the larger is the angle that the Gaussian covers on it. More blurred mip
+        // levels of the table then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);

@@ -10,7 +10,7 @@
 
 namespace warpdiff {
 
-// Number of faces of a list that are tested together. The value is limited by the size of local arrays.
+// Number of faces in the list of a grid cell that are tested together. It is limited by the size of local arrays.
 constexpr int LISTED = 32;
 
 // A batch of points from which shadow rays start. A point has two coordinates perpendicular to the light [steps], and a

@@ -19,7 +19,7 @@ constexpr int TAPS = 16, KNOWN_ROWS = 64;
 // relative to its nearest coefficient.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
-    // Row and column of the zeroth order if it is excluded from the sums; −1 otherwise.
+    // Row and column of the zeroth order if it is excluded from sums of Fourier coefficients; −1 otherwise.
     int excluded_y, excluded_x;
 
     template <class Table>
@@ -76,8 +76,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // A point may be hundreds of coefficients away from the zeroth order, where float32 is too coarse. The integer part
-    // of its position is therefore subtracted in float64.
+    // The point of the frequency plane may be hundreds of Fourier coefficients away from the zeroth order, where
+    // float32 is too coarse. The integer part of its position is therefore subtracted in float64.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;
@@ -121,8 +121,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Integrals of the spectrum under the splines of three consecutive rings: a sample of the spectrum contributes to three
-// integrals. The integrals remain in registers while the sampling proceeds from ring to ring.
+// Integrals of the spectrum, weighted by the splines of three consecutive rings (circles of constant frequency). A
+// sample contributes to three integrals, which remain in registers while the sampling proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
@@ -134,8 +134,8 @@ struct SplineSums {
         behind.clear();
     }
 
-    // Add a sample of the spectrum to the integrals of three rings. `f` is the distance of the sample from the middle
-    // ring, in units of the distance between rings.
+    // Add a sample of the spectrum to the integrals of three rings (circles of constant frequency). `f` is the distance
+    // of the sample from the middle ring, in ring spacings.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];

@@ -31,7 +31,7 @@ struct Rgba {
     float channels[4] = {};
 };
 
-// Size of one level of a pyramid, and its first texel.
+// Size of one level of an image pyramid, and its first texel.
 struct TextureLevel {
     const float* texels;
     int width, height;
@@ -105,7 +105,8 @@ struct TexelSquare {
     }
 };
 
-// Add `factor` times the colour of a level at (u, v) to `result`, by bilinear interpolation between texel centres.
+// Add `factor` times the colour of a pyramid level at the texture coordinates (u, v) to `result`. The colour is
+// interpolated bilinearly between texel centres.
 WARPDIFF_INLINE void add_bilinear(
     const TextureLevel& level, const int* wrap, float u, float v, float factor, Rgba& result)
 {

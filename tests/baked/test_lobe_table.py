@@ -80,7 +80,8 @@ def test_a_material_is_part_of_the_colours_and_of_the_file(tmp_path):
     baked = wd.bake(small, coherence=WIDE, material=gold, delta_e=3.0)
     rng = np.random.default_rng(92)
     lights, views = hemisphere(rng, 90), hemisphere(rng, 90)
-    # In every tenth pair of directions, the view is in the mirror direction, where the zeroth order dominates.
+    # In every tenth pair of directions to light and viewer, the view is the mirror direction, where the zeroth order
+    # dominates.
     views[::10] = lights[::10] * [-1.0, -1.0, 1.0]
     exact = reference.reference_reflectance(small, lights, views, WIDE, tolerance=1e-3, material=gold)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 90.0)))[:, None]

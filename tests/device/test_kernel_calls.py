@@ -122,7 +122,7 @@ def count_marks(values: wp.array(dtype=wp.int64), first: wp.int32):
 
 
 def test_threads_may_be_the_first_to_launch_a_kernel():
-    """If four threads launch a kernel for the first time simultaneously, all of their launches must take effect."""
+    """If four threads launch a kernel for the first time simultaneously, the kernel must run for all four of them."""
     values = wp.zeros(4, dtype=wp.int64, device="cpu")
     together = threading.Barrier(4)
 

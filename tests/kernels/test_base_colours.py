@@ -19,7 +19,7 @@ from warpdiff.scene.trimesh_parts import parts_of
 
 
 def textured(texels, scale, wrap, monkeypatch):
-    """Return a square as a prepared surface, whose texture coordinates range over ``scale`` repeated images."""
+    """Return the prepared surface of a square with a texture; its coordinates range from −``scale`` to ``scale``."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     visual = TextureVisuals(uv=corners[:, :2] * scale, material=SimpleMaterial(image=Image.fromarray(texels)))
     (part,) = parts_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False))
@@ -30,7 +30,7 @@ def textured(texels, scale, wrap, monkeypatch):
 
 
 def colours_of(surface, view, deviation):
-    """Return base colours and texture coordinates of the rays through pixel centres."""
+    """Return base colours and texture coordinates at the hits of the rays through pixel centres."""
     rays = rays_for(surface, view, device=wp.get_device("cpu"), threads=1)
     rays.launch(rays.trace(0, 1, deviation))
     pixels = rays.gbuffer.pixels
@@ -64,7 +64,7 @@ def test_odd_images_are_continued_at_negative_and_large_coordinates(size, shift,
         for deviation in (0.0, 1e-3):
             colours, uv = colours_of(surface, view, deviation)
             exact = bilinear(texels, wrap, uv[:, 0], uv[:, 1])
-            # Coordinates of about 4096 are rounded to 2⁻¹² in float32.
+            # The allowed error includes rounding: texture coordinates of about 4096 are rounded to 2⁻¹² in float32.
             np.testing.assert_allclose(colours, exact, atol=2e-5 + 4e-6 * abs(shift))
 
 

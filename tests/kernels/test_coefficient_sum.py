@@ -43,9 +43,9 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
 
 
 def test_reflectances_of_a_material_are_bilinear(rng):
-    """A table of reflectances is interpolated between angles and wavelengths.
+    """Reflectances of a material are tabulated over angle and wavelength, and interpolated between the entries.
 
-    Interpolation of a bilinear function must be exact, also at the ends of both axes.
+    If the reflectance is a bilinear function, interpolation must be exact, also at the ends of both axes.
     """
 
     def reflectance(row, column):
@@ -67,7 +67,7 @@ def test_reflectances_of_a_material_are_bilinear(rng):
 
 @pytest.mark.parametrize(("periods", "tolerance", "divisions"), [((2, 3), 1e-5, 1), ((1, 40), 1e-3, 3)])
 def test_colours_of_replicated_periods_equal_a_direct_sum_over_many_wavelengths(periods, tolerance, divisions, rng):
-    """Colours of replicated periods must equal the direct sum.
+    """Colours of a patch that is repeated ``periods`` times along y and x must equal a direct sum.
 
     With many periods, the power of one patch is computed at few wavelengths and interpolated to ``divisions`` times as
     many wavelengths. The interference factor of the periods is computed at all of these wavelengths.

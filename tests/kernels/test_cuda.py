@@ -71,8 +71,8 @@ KERNELS = {
     "polar_sums": {"sample_spectrum_rings", "spread_pixels_to_rings", "spread_spectrum_rings", "sum_rings_of_pixels"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
-# Tested kernels. Each entry has the number of series terms per Fourier coefficient in the table, the coherence model,
-# and whether the table has powers (True) or amplitudes (False).
+# Kernels whose compilation is tested. They sum Fourier coefficients from a table. Each entry has the number of terms of
+# the series of a coefficient, the coherence model, and whether the table has powers (True) or amplitudes (False).
 FORMS = [
     (8, "averaged", True), slow(24, "averaged", False), slow(24, "centred", False), slow(8, "source", True),
     slow(24, "source", False), slow(24, "replicas", False),

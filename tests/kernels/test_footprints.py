@@ -63,7 +63,7 @@ def errors(image, exact):
 
 
 def to_first_order(spreads):
-    """Return an array of footprints for a kernel, shape (n, 4): changes of (u, v) along picture rows and columns."""
+    """Return footprints, shape (n, 4), as an array for kernels: changes of (u, v) along picture rows and columns."""
     return wp.array(spreads, dtype=Footprint, device="cpu")
 
 
@@ -329,10 +329,11 @@ def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
 def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
-    """A weighted sum of a few azimuth samples of a table must blur a Gaussian line to a wider Gaussian line.
+    """A weighted sum of a few azimuth samples must blur a Gaussian spectral line to a wider Gaussian.
 
-    The line is stored as spline coefficients at the azimuth samples. For the narrow lines of a source (``LINE_TAPS``),
-    the spline itself has an error of 3 % of the peak.
+    Azimuth samples are the samples of a colour table over the polar angle of (u, v). The line is stored as spline
+    coefficients at these samples. For the narrow lines under a light source of finite size (``LINE_TAPS``), the spline
+    itself has an error of 3 % of the peak.
     """
     made = footprint_taps("cpu", rule)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()

@@ -28,17 +28,16 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """Values between the entries of the tables must be linear functions: energy factors of √(1 − cos θ), and
-    transmittances of cos θ.
+    """Between tabulated angles, energy factors must be linear in √(1 − cos θ), and transmittances linear in cos θ.
 
-    The angle θ is that between the direction and the normal. Over the azimuth of a direction (x, y, z), energy factors
-    are linear in y / (|x| + |y|) within each quadrant.
+    θ is the angle between a direction and the normal. Factors of the energy normalisation also depend on the azimuth of
+    the direction (x, y, z). Within each quadrant, they must be linear in y / (|x| + |y|).
     """
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))
-    # The test looks up the material with index 1 and the surface with index 1. All other entries are NaN, so that a
-    # look-up that reads them by mistake has the result NaN.
+    # The test looks up the finish with index 1 and the surface with index 1. The transmittances of the next finish and
+    # the energy factors of the other surface are NaN, so that a look-up that reads them by mistake has the result NaN.
     transmittances[2] = np.nan
     reflection = light_samples.Reflection()
     energies = np.stack([np.full_like(energy, np.nan), energy])

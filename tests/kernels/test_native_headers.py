@@ -33,7 +33,7 @@ def text(node):
 
 
 def named(path):
-    """Return the headers that a module includes, directly or through other headers."""
+    """Return the native headers that the kernels of a Python module include, directly or through other headers."""
     names = [text(node) for call in calls(path, "options") for node in call.args]
     return {header for name in names for header in compile_options.headers(name)}
 

@@ -19,7 +19,7 @@ ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def texture_contrast(base, colours, hit, near, place):
-    """Return the part of the contrast of a pixel to its neighbours that is caused by the base colour.
+    """Return the part of a pixel's contrast (colour difference to its neighbours) that the base colour causes.
 
     The part is the norm of the pixel's own colour times the largest relative change of the base colour to a neighbour.
     """
@@ -30,7 +30,7 @@ def texture_contrast(base, colours, hit, near, place):
 
 
 def map_contrast(maps, colours, hit, near, own):
-    """Return the part of a pixel's contrast that is caused by changes of metallic, roughness and emission."""
+    """Return the part of a pixel's contrast that textures cause by changes of metallic, roughness and emission."""
     metallic, roughness, emission = maps
     changes = [
         4.0 * abs(roughness[place] - roughness[own]) / max(roughness[own], 0.05)
@@ -56,8 +56,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None, maps=None):
                      if hit[y, x]]  # fmt: skip
             contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
             if all(away != 1 for away, _ in steps):
-                # If no ray of a neighbour to the left, right, top or bottom hits the mesh, there is no contrast, and
-                # the pixel's own colour is used instead.
+                # If the rays of the neighbours to the left, right, top and bottom all miss the mesh, the pixel has no
+                # contrast, and its own colour is used instead.
                 contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):

@@ -35,7 +35,7 @@ def call_functions(
 
 
 def computed(metallic, alpha, colour, *, lights, views, slopes, covariance=(0.0, 0.0, 0.0)):
-    """Return π times the BRDF for pairs of directions, and densities of microfacets at slopes after a blur."""
+    """Return π times the BRDF for pairs of a light and a view direction, and the GGX density after a blur at slopes."""
     base = np.array(colour)
     count = len(slopes)
     results = [wp.zeros(count, dtype=dtype, device="cpu") for dtype in (wp.vec3f, wp.float32)]
@@ -60,8 +60,9 @@ def test_pairs_of_directions_have_the_brdf_of_the_specification(metallic, roughn
 def test_microfacets_cover_the_surface_once_after_a_blur(alpha, covariance):
     """The projected areas of all microfacets must add up to the area of the surface: ∫ D cos θ dω = 1.
 
-    As an integral over the slopes s of microfacets, dω cos θ = ds cos⁴θ. The integral is computed as a mean over points
-    that are drawn from the GGX distribution. The tail of the blurred D must equal the tail of D without a blur.
+    D is the GGX distribution of microfacets, blurred by a Gaussian. As an integral over the slopes s of microfacets,
+    dω cos θ = ds cos⁴θ. The integral is computed as a mean over slopes that are drawn from the distribution without a
+    blur. The tails of the two distributions must be equal.
     """
     trace = min(covariance[0] + covariance[2], 0.18)
     share, turn = np.meshgrid((np.arange(200) + 0.5) / 200, (np.arange(64) + 0.5) / 64 * 2.0 * math.pi)

@@ -22,8 +22,9 @@ OF_EMISSION = np.array([[1.5, 0.0, 0.0], [0.0, -1.0, 0.7]])
 
 
 def surface_of(roughness, emission, scale, wraps, monkeypatch):
-    """Return two squares: one with two textures, whose texture coordinates range over ``scale``, and one without
-    textures.
+    """Return the prepared surface of two squares, one with textures of roughness and emission, one without textures.
+
+    Before their transforms, the coordinates of the textures range from −``scale`` to ``scale``.
     """
     maps = [
         TextureMap(Image.fromarray(texels), 1, transform, wrap)
@@ -45,7 +46,7 @@ def surface_of(roughness, emission, scale, wraps, monkeypatch):
 
 
 def values_of(surface, view, deviation):
-    """Return metallic, roughness and emission at the hits, the index of the part, and texture coordinates."""
+    """Return values at the hits of all rays: metallic and roughness, emission, index of the square, coordinates."""
     rays = rays_for(surface, view, device=wp.get_device("cpu"), threads=1)
     rays.launch(rays.trace(0, 1, deviation))
     pixels = rays.gbuffer.pixels

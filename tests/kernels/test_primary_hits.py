@@ -161,8 +161,8 @@ def test_perspective_rays_pass_through_pixel_centres():
     width, height = 8, 6
     got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
     away = got["to_view"].reshape(height, width, 3).astype(np.float64)
-    # Positions at which the rays, extended beyond the eye, cross a plane at distance 1 behind it. The unit is half the
-    # height of the picture. Row 0 is at the top.
+    # Positions at which the camera rays cross a plane at the distance 1 in front of the eye. As the field of view is
+    # 90°, the unit is half the height of the picture. Row 0 of the picture is at the top.
     place = -away[..., :2] / away[..., 2:]
     np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) / 3.0)[:, None], (6, 8)), atol=1e-6)
     np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
@@ -342,14 +342,14 @@ def test_offsets_of_rays_are_samples_of_a_truncated_gaussian():
     assert np.linalg.norm(all_of_them, axis=2).max() < 1.5 + 3e-5
     flat = all_of_them.reshape(-1, 2)
     np.testing.assert_allclose(flat.mean(axis=0), 0.0, atol=0.005)
-    # For a Gaussian with standard deviation σ that is truncated at the radius c = 1.5, the mean of r² is 2σ² − c² e /
-    # (1 − e) with e = exp(−c² / 2σ²). Here σ is 0.5, so that e = exp(−4.5).
+    # The offsets of rays have a Gaussian distribution with the standard deviation σ = 0.5, truncated at the radius
+    # c = 1.5. The mean of the squared offset is 2σ² − c² e / (1 − e) with e = exp(−c² / 2σ²) = exp(−4.5).
     e = np.exp(-4.5)
     std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
     np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
     assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
-    # The samples have low discrepancy: the mean of 16 samples is much closer to 0 than for independent samples, whose
-    # mean has a standard deviation of σ / 4.
+    # The offsets of a pixel's 16 rays have low discrepancy: their mean is much closer to 0 than for independent random
+    # offsets, whose mean has a standard deviation of σ / 4.
     assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
     # The sample pattern is rotated differently in each pixel and for each seed, so that samples of neighbouring pixels,
     # and those of two seeds, are uncorrelated.

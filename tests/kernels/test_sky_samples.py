@@ -18,7 +18,7 @@ from warpdiff.lights.sky_grid import sample_grid
 from warpdiff.optics import reflectance_factors
 
 COUNT = 1 << 14
-# Cumulative probabilities whose last value is below 1, which rounding can cause.
+# Cumulative probabilities of a distribution. Because of rounding, their last value may be below 1, as here.
 SHORT = [0.3, 0.3, 0.9]
 
 
@@ -85,12 +85,12 @@ def results():
 
 @pytest.mark.parametrize("size", [4, 16, 64, 1024])
 def test_points_of_each_square_of_cells_are_stratified(size, results):
-    """The points must form a (0, 2)-sequence, so that the samples of each square of cells are stratified.
+    """The random points must form a (0, 2)-sequence, so that the samples of each square of cells are stratified.
 
-    In a (0, 2)-sequence, the points are split into groups of 2ⁿ consecutive points, and the unit square into 2ⁿ equal
-    boxes. Each group has one point in each box, for any number of columns of boxes that is a power of 2. Points are
-    assigned to subpixel cells along a Morton curve. For even n, the points of a group therefore belong to a square of
-    cells.
+    Let the points of a sequence be split into groups of 2ⁿ consecutive points, and the unit square into 2ⁿ equal boxes.
+    In a (0, 2)-sequence, each group has one point in each box, for any number of columns of boxes that is a power of 2.
+    Points are assigned to subpixel cells along a Morton curve. For even n, the points of a group therefore belong to a
+    square of cells.
     """
     for points in results[1]["points"].reshape(-1, size, 2)[:64]:
         for across in 2 ** np.arange(int(math.log2(size)) + 1):
@@ -102,7 +102,8 @@ def test_indices_of_cells_follow_a_morton_curve(results):
     indices = results[1]["indices"].reshape(128, 128)
     np.testing.assert_array_equal(np.sort(indices.ravel()), np.arange(COUNT))
     np.testing.assert_array_equal(indices[:4, :4], [[0, 1, 4, 5], [2, 3, 6, 7], [8, 9, 12, 13], [10, 11, 14, 15]])
-    # Along a Morton curve, each aligned square whose side is a power of 2 has consecutive indices.
+    # Along a Morton curve, the cells of each square have consecutive indices, if the side of the square is a power of 2
+    # and its position is a multiple of the side.
     assert np.all(np.ptp(indices.reshape(16, 8, 16, 8), axis=(1, 3)) == 63)
 
 
@@ -116,8 +117,8 @@ def test_points_are_drawn_in_proportion_to_their_density(results):
         assert inside.mean() == pytest.approx(share, abs=2e-3)
         counts = np.bincount((turn[inside] * len(spokes)).astype(int), minlength=len(spokes))
         np.testing.assert_allclose(counts / inside.sum(), spokes, atol=3e-3)
-    # The mean of f/density over samples is the integral of f over the disc |(u, v)| < r. The integral is πr² for f = 1,
-    # and πr⁴/2 for f = |(u, v)|².
+    # Points (u, v) are drawn with a known density. The mean of f/density over these points is the integral of f over
+    # the disc |(u, v)| < r: πr² for f = 1, and πr⁴/2 for f = |(u, v)|².
     farthest = 0.25 * 3.0
     per_density = 1.0 / computed["uv_densities"]
     assert per_density.mean() == pytest.approx(math.pi * farthest**2, rel=0.01)

@@ -91,8 +91,8 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
 def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tolerance(level, rng):
     """A pixel at level n has 2ⁿ × 2ⁿ cells. Its level must rise if the scatter causes an error above the tolerance.
 
-    The scatter is the standard deviation of the pixel's mean over samples. Only pixels that were shaded at the level of
-    the latest pass may change.
+    The scatter is the standard deviation of the pixel's mean over random directions to the light. Only the levels of
+    pixels that were shaded last, which are at ``level``, may change.
     """
     height, width, floor, tolerance, most = 7, 9, 0.5, 0.05, 5
     shaded = rng.choice([level - 1, level], (height, width), p=[0.3, 0.7])
@@ -133,8 +133,8 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
     """Return the levels that the kernel ``select_levels`` must compute, and the changes on which they depend.
 
-    The change of a pixel is half the root mean square second difference of the colours of its quadrants, times a factor
-    at edges. All pixels are subdivided.
+    The change of a pixel is half the root mean square second difference of the colours of its quadrants. At edges of
+    the mesh or of shadows, it is multiplied by a factor. All pixels are subdivided.
     """
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
@@ -205,10 +205,9 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
 
 
 def test_shares_of_the_filter_are_integrals_of_a_truncated_gaussian():
-    """The shares of the pixel filter must be integrals of a truncated Gaussian over three pixels: a pixel and its
-    neighbours on both sides.
+    """The shares of the pixel filter in a pixel and in its two neighbours must be integrals of a truncated Gaussian.
 
-    The Gaussian is truncated at 1.5 pixels.
+    The Gaussian is truncated at 1.5 pixels from its centre.
     """
     place = (np.arange(3000) + 0.5) / 1000.0 - 1.5
     values = np.exp(-0.5 * (place / refinement_levels.FILTER_SIGMA) ** 2).reshape(3, 1000).sum(axis=1)

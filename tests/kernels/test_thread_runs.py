@@ -13,7 +13,7 @@ from warpdiff.device import kernel_calls
 
 
 def in_runs_of(run):
-    """Return a replacement of ``_Recorded.run`` whose threads process ``run`` indices each."""
+    """Return a replacement of ``_Recorded.run``, which launches a kernel, with ``run`` indices per thread."""
 
     def launch(recorded, begin, end):
         first, stop = begin // recorded._block, -(-end // recorded._block)

@@ -28,7 +28,7 @@ def rough() -> wd.HeightField:
 
 @pytest.fixture
 def builds(monkeypatch):
-    """Return a list of the height fields whose coefficients are fitted during the test."""
+    """Return a list of the height fields to whose Fourier coefficients basis functions are fitted during the test."""
     built = []
     fitted = coefficient_basis.fitted
 
@@ -64,8 +64,8 @@ def test_the_number_of_cached_tables_is_limited(rough, builds):
         wd.reflectance(heightfield, UP, UP, plan=each)
     assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
-    # The cache keeps the tables that were used last. The table of the last plan is reused. That of the first plan has
-    # been removed, and is built again.
+    # The cache contains the tables that were used last. The table of the last plan is reused. The table of the first
+    # plan has been removed from the cache, and is built again.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
     assert len(builds) == 1 + len(scopes)
     wd.reflectance(heightfield, UP, UP, plan=scopes[0])

@@ -63,8 +63,8 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     for nodes, rays in ((12, 1.0), (24, 1.4), (48, 1.8), (80, 2.1)):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
-    # The CIE colour curves have kinks. The errors of splines through them therefore decrease only in proportion to the
-    # distance between rings.
+    # The CIE colour-matching functions have kinks. The errors of splines that are fitted to them therefore decrease
+    # only in proportion to the distance between the rings of a table, each of which has one spline.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
@@ -156,11 +156,11 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
     [(4, 4, FILTER_REACH), (7, 12, FILTER_REACH), (7, 12, 0), (8, 20, FILTER_REACH)],
 )
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
-    """Colour rows computed by the kernel must equal float64 sums over spline coefficients of the spectrum.
+    """Colours that the kernel computes must equal float64 sums over spline coefficients of the spectrum.
 
-    A recursive filter computes the spline coefficients from samples of the spectrum. Beyond the last octave the
-    spectrum is 0. The filter begins ``reach`` samples beyond it, over which the error of its first value decays. With
-    ``reach`` = 0, the first value itself must be correct.
+    A recursive filter computes the coefficients from samples of the spectrum, which is 0 beyond its last octave. The
+    filter begins ``reach`` samples beyond the samples that colours require. Over this distance, the error of the
+    filter's first value decays. With ``reach`` = 0, the first value itself must be correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -267,17 +267,18 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # For a spectrum that is linear in ln λ, the mean of the spectrum with a spline as weight equals its value at the
-    # centre of the spline.
+    # Each ring of the spectrum has a spline. For a spectrum that is linear in ln λ, the mean weighted by the spline
+    # equals the value at the centre of the spline.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
     np.testing.assert_allclose(places @ weights * step / white, exact, atol=0.5 * step)
 
 
 def test_basis_functions_of_w_reproduce_all_terms():
-    """The basis functions of w, which all colours share, must reproduce each term.
+    """The basis functions of w, which all colours share, must reproduce each term of the power spectrum.
 
-    A term is a function of κ = w/λ. It must be reproduced at every wavelength of the quadrature.
+    A term is a function of κ = w/λ; w is the normal component of the scattering vector. At the wavelength of one ring
+    of the spectrum, a weighted sum of the basis functions must equal the term as a function of w.
     """
     kappas = (0.5, 5.0)
 

@@ -36,8 +36,8 @@ def plan(fingers):
 def test_a_table_meets_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     assert plan.rings_per_octave > 0
-    # The predicted error of the plan is the measured error times a safety factor. It may therefore exceed the tolerance
-    # although the table is accepted.
+    # The predicted error of a plan is the measured error of its table times a safety factor. The predicted error may
+    # therefore exceed the tolerance although the table is accepted.
     assert plan.error <= trial.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     result = wd.reflectance(fingers, lights, views, plan=plan)
@@ -160,9 +160,9 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
 
 
 def test_directions_beyond_the_range_of_the_reference_do_not_count():
-    """Errors in directions for which the reference has too few wavelengths must not count in the percentile.
+    """The percentile of the errors of a table must ignore directions for which the reference has too few wavelengths.
 
-    For a source at the horizon, there are such directions.
+    For a light source at the horizon, there are such directions.
     """
     directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)
@@ -202,7 +202,7 @@ def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
     ([[0.5, 0.4], [-0.9, 0.1], [0.2, -0.7]], 1.0, 3e-2), ([[0.0, 0.0], [0.04, -0.03], [-0.06, 0.1]], 0.4, 1e-3),
 ], ids=["by the table", "near the mirror direction"])  # fmt: skip
 def test_footprints_widen_the_source(fingers, plan, directions, size, tolerance):
-    """The colour of a footprint must equal the mean over its points: the range of (u, v) that a pixel covers.
+    """The colour of a footprint, the range of (u, v) that a pixel covers, must equal the mean over its points.
 
     Directions near the mirror direction are not in the table, and are integrated over sampled wavelengths.
     """

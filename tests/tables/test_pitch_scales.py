@@ -24,7 +24,7 @@ SCALES = np.array([0.7, 1.0, 1.4])
 
 
 def test_one_table_serves_all_pitch_scales(rng: np.random.Generator) -> None:
-    """Colours of scaled height fields must be those of one table at scaled (u, v), blurred by a scaled source.
+    """Colours of stretched height fields must be those of one table at scaled (u, v), blurred by a scaled light source.
 
     (u, v) is the tangential part of the scattering vector. Near the mirror direction, the table has no colours, and a
     look-up sums over wavelengths instead.

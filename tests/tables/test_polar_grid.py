@@ -79,7 +79,7 @@ def test_two_computations_of_the_zeroth_order_agree(coherence):
 
 
 def test_the_lobe_variance_follows_from_the_coherence():
-    """The variance of a lobe (the peak of a diffraction order) must be that of the coherence.
+    """The variance of a lobe (the peak of a diffraction order) must follow from the coherence.
 
     A window has the lobe exp(−4π²σ²|q|²) with q = (u, v)/λ. For a light source of finite size, the lobe does not depend
     on λ.

@@ -44,8 +44,9 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Sizes of tables in ascending order. A size is the number of rings per octave of |(u, v)|, and the number of azimuth
-# samples per standard deviation of a lobe, which is the peak of a diffraction order over (u, v).
+# Sizes of baked tables in ascending order. A table is a polar grid over (u, v). A size is a pair: the number of rings
+# (circles) per doubling of the radius |(u, v)|, and the number of azimuth samples per standard deviation of a lobe,
+# which is the peak of a diffraction order over (u, v).
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
 # The grid of a table must resolve lobes (the peaks of diffraction orders over (u, v)) at this wavelength [µm]. Lobes of
 # shorter wavelengths are narrower, but contribute little to the visible colour.
@@ -62,22 +63,22 @@ _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled, where w is the component of the scattering vector along the normal. If |w|
 # is smaller, light and view are both near the horizon. Such colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
-# Numbers of equally spaced samples that a table stores. `_ENTRIES_OF_W` is for each function of |w|, where w is the
-# normal component of the scattering vector. `_ENTRIES_OF_KAPPA` is for the power of the zeroth order as a function of
-# |κ| = |w|/λ.
+# A baked table stores functions as equally spaced samples. `_ENTRIES_OF_W` is the number of samples of each function of
+# |w|, where w is the normal component of the scattering vector. `_ENTRIES_OF_KAPPA` is that of the power of the zeroth
+# order as a function of |κ| = |w|/λ.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # Grid on which the reflectance R(θd, λ) of a material is stored, where θd is half of the angle between the directions
 # to the light (ωi) and to the viewer (ωr): number of samples over cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
-# Directions in which the error of a table is measured (validation set). One half is uniform; the other half has bright
-# directions. `_VALIDATION_SIZE` is the size of each half. `_CANDIDATES` is the number of random directions from which
-# both halves are selected, and `_SEED` is the random seed.
+# The error of a table is measured in validation directions, pairs of a direction to the light and one to the viewer.
+# One half of them is uniformly distributed; the other half has bright colours. `_VALIDATION_SIZE` is the size of each
+# half. `_CANDIDATES` is the number of random pairs from which both halves are selected, and `_SEED` is the random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # Before the ΔE2000 of a colour is computed, the colour is scaled to the luminance Y = `_SHOWN`. Colours whose luminance
 # is below a limit, `_FLOOR` times the reference luminance, are multiplied by the same factor as colours at the limit,
 # so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
-# Measured peak memory while a table is computed [bytes per sample of its polar grid].
+# Measured peak memory while a table of baked lobes is computed [bytes per sample of its polar grid over (u, v)].
 _BYTES_A_NODE = 170
 # Largest height range of a height field that can be baked [µm]. For larger height ranges, the powers of Fourier
 # coefficients oscillate so fast as functions of w that their samples require more than a minute.
@@ -194,7 +195,7 @@ class _Bakery:
         return result
 
     def _tables(self, progress: Callable[[float], None]) -> Iterator[BakedLobes]:
-        """Yield tables in ascending order of size, each with its measured error."""
+        """Yield baked tables of all sizes, from the smallest to the largest, each with its measured error."""
         principal, evaluation = self._functions(), self._evaluation
         coherence, material = evaluation.coherence, evaluation.illuminated[0].material
         zeroth = ZerothOrder.of_heights(evaluation.heightfield, coherence, (0.0, LARGEST_KAPPA), _ENTRIES_OF_KAPPA)
@@ -268,7 +269,7 @@ class _Bakery:
 
     @single_threaded_blas()
     def _functions(self) -> NDArray[np.float64]:
-        """Return the fewest orthonormal functions of |w| that represent all colours, shape (nodes, K).
+        """Return the fewest orthonormal functions of |w| whose weighted sums represent all colours, shape (nodes, K).
 
         Their truncation error is at most the part `_FUNCTIONS_SHARE` of the accepted ΔE2000.
         """
@@ -288,8 +289,8 @@ class _Bakery:
     def _error(self, colours: NDArray[Any]) -> float:
         """Return the 99th percentile of ΔE2000 between ``colours`` and reference colours in the validation directions.
 
-        The larger of two percentiles is returned: over uniform and over bright directions. The zeroth order is
-        excluded, because tables and reference compute it by the same formula.
+        One half of the directions is uniformly distributed; the other half has bright colours. The larger of the two
+        percentiles is returned. The zeroth order is excluded, because tables and reference use the same formula for it.
         """
         if self._bright <= 0.0:
             return 0.0

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of equally spaced |κ| = |w|/λ at which the table's functions of κ and the power of the zeroth order are
-# tabulated.
+# A spectrum is stored as sums of products: a coefficient for q = (u, v)/λ times a function of κ = w/λ. This is the
+# number of equally spaced |κ| at which these functions and the power of the zeroth order are tabulated.
 _ENTRIES = 512
 
 

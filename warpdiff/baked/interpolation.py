@@ -30,17 +30,22 @@ _FLAT_WITHIN = 0.05
 
 
 def lobe_grid(rings: int, azimuths: tuple[int, ...]) -> PolarGrid:
-    """Return the polar grid of baked lobes from its rings per octave and its azimuth samples in each octave."""
+    """Return the polar grid of baked lobes over (u, v).
+
+    Args:
+        rings: Number of rings per octave, a doubling of the radius |(u, v)|.
+        azimuths: Number of azimuth samples per ring, for each octave.
+    """
     return PolarGrid(rings, math.log(_LARGEST) - ring_of_largest(rings, azimuths) * math.log(2.0) / rings, azimuths)
 
 
 def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
-    """Return the index of the ring with |(u, v)| = 2; cubic interpolation also uses the next larger ring."""
+    """Return the index of the grid's ring |(u, v)| = 2, the largest radius; interpolation also uses the next ring."""
     return rings * len(azimuths) - 2
 
 
 def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
-    """Return the grid that resolves lobes with a standard deviation of ``width`` in (u, v).
+    """Return the polar grid that resolves lobes (peaks of orders) with a standard deviation of ``width`` in (u, v).
 
     Along a ring, the grid has ``azimuths_per_width`` samples per ``width``.
     """
@@ -50,7 +55,10 @@ def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
 
 
 def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the coefficients of the periodic cubic B-spline through the values of each ring, shape (nodes, ...)."""
+    """Return the coefficients of periodic cubic B-splines through values at the samples (nodes) of each ring.
+
+    Both arrays have the shape (nodes, ...).
+    """
     result = np.empty_like(values)
     for first, azimuths in zip(grid.starts[:-1], grid.ring_azimuths, strict=True):
         spectrum = np.fft.rfft(values[first : first + azimuths], axis=0)

@@ -34,12 +34,12 @@ LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
 # Largest number of functions of w in a table. The number is limited because a shader of another renderer stores the
 # values of all functions in its registers.
 MOST_W_BASIS = 16
-# Number of wavelengths over which the colour of the zeroth diffraction order is summed.
+# Number of wavelengths whose sum is the colour of the zeroth diffraction order in baked lobes.
 _ZEROTH_WAVELENGTHS = 40
 # Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
-# A file may have a grid with at most these numbers of rings per octave, of octaves, and of azimuth samples per ring. A
-# file with larger numbers counts as damaged.
+# The polar grid of colours in a file may have at most these numbers of rings per octave (doubling of the radius), of
+# octaves, and of azimuth samples per ring. A file with larger numbers counts as damaged.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
 # Largest values of arguments. `_MOST_SIZE` is the largest number of cells per side of a Cartesian grid. `_LONGEST_UM`
 # is the longest wavelength for which the variance of a lobe (the peak of a diffraction order) is computed [µm].

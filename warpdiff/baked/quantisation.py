@@ -15,12 +15,13 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Scales of quantised numbers are powers of 2^(1/8). This number is the number of scales per factor of 2.
+# Each group of quantised numbers has a common scale, which is a power of 2^(1/8). The value is the number of scales per
+# factor of 2.
 EIGHTHS = 8
 
 
 def quantise(values: NDArray[np.float32], dtype: Any = np.int8) -> tuple[float, NDArray[np.uint8], NDArray[Any]]:
-    """Quantise values, shape (..., m), with one exponent per group of m values.
+    """Convert values, shape (..., m), to integers with one exponent (scale) per group of m values.
 
     Returns:
         Magnitude of the largest value; exponents, shape (...,); and integers of the type ``dtype``, shape (..., m).

@@ -19,7 +19,7 @@ from warpdiff.optics.coherence import Coherence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest number of cells per side. The number is limited because memory is proportional to the square of this number.
+# Largest number of cells per side of the square of frequencies in a table. Memory is proportional to its square.
 _MOST_SIZE = 8192
 
 

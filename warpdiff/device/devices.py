@@ -145,8 +145,8 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Texts for error messages about work that other threads had not finished when this process was forked. A fork copies
-# only the calling thread, so that such work never finishes in the child process.
+# Descriptions of compilations and imports that other threads had not finished when this process was forked, for error
+# messages. A fork copies only the calling thread, so that this work never finishes in the child process.
 _cut_off: list[str] = []
 
 
@@ -183,7 +183,8 @@ def _before_fork() -> None:
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # The new future gets the exception of the original one, or None if the kernels were loaded without error.
+            # The new future for the child process gets the exception of the original future: None if the kernels were
+            # loaded without error.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
@@ -199,8 +200,8 @@ def _release() -> None:
 def _in_child() -> None:
     """Update the state of a forked child process, in which the other threads of the parent do not exist.
 
-    Afterwards, `_loading` contains the Warp modules whose kernels are loaded. `_cut_off` lists the work of the other
-    threads that will never finish.
+    Afterwards, `_loading` has usable futures for the Warp modules whose kernels are loaded. `_cut_off` lists the work
+    of the other threads that will never finish.
     """
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU. The number was chosen because launches of fewer elements have a
-# larger overhead per element.
+# On the CPU, the elements of a launch, such as the rays of a picture, are divided into slices. The value is the default
+# number of elements per slice. It was chosen because launches of fewer elements have a larger overhead per element.
 ELEMENTS_OF_SLICE = 512
-# On the CPU, a thread processes several slices in one turn. Between turns it checks for interrupts and reports
-# progress. `_MOST_AT_ONCE` is the largest number of elements per turn, and `_TURNS_PER_THREAD` is the least number of
-# turns per thread. If `_MOST_AT_ONCE` is doubled, progress is reported half as often.
+# On the CPU, a thread processes several slices (ranges of elements) in one turn. Between turns it checks for interrupts
+# and reports progress. `_MOST_AT_ONCE` is the largest number of elements per turn, and `_TURNS_PER_THREAD` is the least
+# number of turns per thread. If `_MOST_AT_ONCE` is doubled, progress is reported half as often.
 _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
@@ -59,7 +59,7 @@ class KernelCall:
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
     def arguments(self, first: int, run: int) -> list[Any]:
-        """Return all inputs of a launch that begins at the index ``first``. Each thread processes ``run`` indices."""
+        """Return all inputs of a kernel launch from the index ``first`` on. Each thread processes ``run`` indices."""
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:

@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 LANES = 8
 # Smallest number of wavelengths in a quadrature. A quadrature is a numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
-# A direction sums Fourier coefficients with Gaussian weights. A table contains all coefficients whose weight is at
-# least this number. A plan (the numbers of a computation) may exclude more of them by a larger least weight. Plans that
-# differ only in their least weight can therefore share a table.
+# The power in a direction is a sum of Fourier coefficients with Gaussian weights. A table contains all coefficients
+# whose weight in any direction is at least this number. A plan (the numbers of a computation) may exclude more
+# coefficients from sums, by a larger least weight. Plans that differ only in this weight can therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
 # Smallest number of intervals between the wavelengths of an integral, for replicated patches. The value is limited by
 # the interpolation of the power of one patch, which uses cubics through four neighbouring wavelengths.
@@ -149,7 +149,7 @@ class RowsKey:
 
 @dataclass(frozen=True)
 class Table:
-    """Table of coefficients on a device, with the kernels that evaluate it.
+    """Table of Fourier coefficients on a device, with the kernels that compute colours and reflectances from it.
 
     Attributes:
         integrate: Kernel that integrates the spectrum over λ to colours XYZ.
@@ -184,7 +184,8 @@ def coefficients_for(
         method: One of ``coefficient_basis.METHODS``.
         coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
         direction_range: Range of directions and wavelengths.
-        neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
+        neighbour_extent: Number of coefficients along (y, x) on either side of the frequency q = (u, v)/λ of a
+            direction that look-ups may read.
         terms: Number of terms of a series of exp(2πiκh); the fit of a basis selects its own number.
         threads: Number of Fourier transforms that run in parallel.
         to_fit: Whether the caller needs the series only to fit basis functions to it. The series is then stored in a
@@ -232,9 +233,9 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # ``cache.fitted_to`` contains the series to which the last basis was fitted. Two cached series would require
-        # twice the memory. ``fitted_to`` is therefore emptied: its series was moved to ``cache.coefficients``, or is no
-        # longer needed.
+        # ``cache.fitted_to`` contains the Fourier coefficients as series, to which basis functions were fitted last.
+        # Two cached series would require twice the memory. ``fitted_to`` is therefore emptied: its series was moved to
+        # ``cache.coefficients``, or is no longer needed.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
@@ -392,7 +393,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """Return the smallest permitted number of wavelengths that is at least 98 % of ``count``."""
+    """Return the smallest permitted number of wavelengths of an integral that is at least 98 % of ``count``."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -403,10 +404,10 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Store the gridding kernel, which interpolates between stored frequencies, in the struct of a coefficient table.
+    """Store the gridding kernel, weights that interpolate between Fourier coefficients, in the struct of their table.
 
-    The gridding kernel is stored as polynomials of the position between two frequencies. Along an axis with a single
-    height sample, a constant weight of 1 replaces the polynomials.
+    The weights are stored as polynomials of the position between two coefficients. Along an axis with a single height
+    sample, a constant weight of 1 replaces the polynomials.
     """
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
@@ -418,9 +419,9 @@ def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Dev
 
 
 def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Return amplitudes multiplied by phase factors of shape (my, mx).
+    """Return the rows of Fourier amplitudes, multiplied by one phase factor per coefficient, shape (my, mx).
 
-    The rows of the real and imaginary parts of the amplitudes have the shape (my, mx, 2, terms).
+    ``rows`` has the series of the real and of the imaginary part of each amplitude, shape (my, mx, 2, terms).
     """
     cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
     re, im = rows[:, :, 0], rows[:, :, 1]

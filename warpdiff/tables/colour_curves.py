@@ -92,7 +92,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours on the rings of an octave: the spectrum, converted by a matrix, times a factor per ring.
+    """Summand of the colours on the rings of one octave: the spectrum, converted by a matrix, times a factor per ring.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -160,8 +160,8 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of `remaining` is the truncation error if only the first n functions of w are used. The error is the
-    # largest one over all |w| and not the mean, because a call may use a single |w|.
+    # Element n of `remaining` is the truncation error if colours are sums of the first n functions of w only. It is the
+    # largest error over all |w| and not the mean, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -246,9 +246,9 @@ def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd.
+    """Return ratios of a material's reflectance to its reflectance at one angle θd, at Chebyshev nodes of cos θd.
 
-    The colour curves include the reflectance at one angle θd.
+    θd is half of the angle between light and view. The colour curves include the reflectance at the one angle.
     """
 
     def at_roots(count: int) -> NDArray[np.float64]:
@@ -267,12 +267,12 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
 @functools.lru_cache(maxsize=64)
 def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
-    """Return the coefficients of splines that are fitted to the colour curves.
+    """Return the coefficients of splines that are fitted to illuminant times colour-matching functions times material.
 
     Args:
         rings: Number of rings per octave of the table.
         illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
-        lines: Whether rows of the spectrum are powers per unit area of frequency, as ``holds_lines`` of
+        lines: Whether rows of the power spectrum are powers per unit area of frequency, as ``holds_lines`` of
             :class:`SpectrumBasis` states.
 
     Returns:
@@ -283,8 +283,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must give the exact colour of white, up to rounding. The weights of the rings are scaled
-    # so that it does.
+    # A constant power spectrum must have the exact colour of white, up to rounding. The weights with which the rings of
+    # the spectrum contribute to a colour are scaled accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
@@ -308,7 +308,7 @@ def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[
     # wavelengths, the colour curves are 0.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
-    # The curves are multiplied by λ, because the splines are functions of ln λ, and dλ = λ d ln λ.
+    # The colour curves are multiplied by λ, because the splines are functions of ln λ, and dλ = λ d ln λ.
     curves = at[:, None] * np.stack([np.interp(at, VISIBLE_NM, c, left=0.0, right=0.0) for c in products.T], axis=1)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]

@@ -39,14 +39,13 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# A look-up with a wide footprint may skip rings (decimation), for example every second one. The sum over every second
-# ring cannot distinguish a constant from an oscillation with a period of two rings (aliasing). Two quantities over ln λ
-# must therefore be small at the frequency of this oscillation. The first is the Fourier transform of the colour curves
-# (illuminant times colour-matching functions times reflectance). `_MOST_AT_ALIAS` is its upper limit there, relative to
-# its value at frequency 0. The second is the power spectrum, weighted by the Gaussian of the look-up.
-# `_SAFE_DEVIATIONS` is the least distance of the largest frequency of the power spectrum from that frequency, in
-# standard deviations of the Gaussian's Fourier transform. `_NO_DECIMATION` is a value of the field `decimation_scale`
-# with which no ring is skipped.
+# A look-up with a wide footprint may skip rings of the table (circles of constant |(u, v)|), for example every second
+# one. The sum over the others cannot distinguish a constant from an oscillation with a period of two rings (aliasing).
+# Two functions of ln λ must therefore have no such oscillation. For the colour curves (illuminant times colour-matching
+# functions times reflectance), `_MOST_AT_ALIAS` is the upper limit of their Fourier transform at its frequency,
+# relative to that at 0. For the power spectrum under the Gaussian of the look-up, `_SAFE_DEVIATIONS` is the least
+# distance of its largest frequency from that frequency, in standard deviations of the Gaussian's Fourier transform.
+# `_NO_DECIMATION` is a value of the field `decimation_scale` with which no ring is skipped.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # `_ZEROTH_WAVELENGTHS` is the number of wavelengths at which look-ups integrate the zeroth order. For this integral,
 # the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
@@ -161,7 +160,7 @@ def function_count(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
     device: wp.Device, threads: int,
 ) -> int:  # fmt: skip
-    """Return the number of functions of w, the normal component, in the colour table of a plan."""
+    """Return the number of functions of w in the colour table of a plan; w is the scattering vector's normal part."""
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     return int(source.projection(plan, illuminated).w_basis.shape[1])
 
@@ -253,7 +252,7 @@ def _fields(
 
 
 def _is_smooth(illuminated: IlluminatedMaterial, per_log: float) -> bool:
-    """Whether sums over every second ring of a table are accurate, because colour curves are smooth in ln λ.
+    """Whether sums over every second ring (circle) of a colour table are accurate: colour curves are smooth in ln λ.
 
     A colour curve is illuminant times colour-matching function times reflectance.
     """

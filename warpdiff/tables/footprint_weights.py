@@ -32,7 +32,7 @@ _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # is at least 0.9, the smallest number of samples per standard deviation. The weights for spectra under a window are
 # fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
-# Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
+# Weights of the filter that converts sampled values to coefficients of quadratic splines; the outermost are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 # Number of positions between two neighbouring samples for which the weights of taps (the samples that a look-up adds)
 # are tabulated.
@@ -60,7 +60,7 @@ class TapRule:
 
 @functools.cache
 def footprint_taps(device: str, rule: TapRule) -> Any:
-    """Return the struct ``FootprintTaps`` with the weights by which look-ups add samples, for a device and a rule."""
+    """Return the struct ``FootprintTaps``: weights with which look-ups add samples of a table around a position."""
     result = colour_lookup.FootprintTaps()
     weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
@@ -106,13 +106,13 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return weights of spline coefficients that blur a spline by a Gaussian.
+    """Return the weights of the coefficients of a spline whose sum is the spline, blurred by a Gaussian.
 
     The Gaussian is truncated at the outermost coefficient.
     """
-    # The blur is computed by a discrete Fourier transform, which treats the interval as periodic. The interval extends
-    # to 16 sample distances from the centre. There even the widest Gaussian is negligible, so that its periodic copies
-    # do not overlap.
+    # The blur is computed by a discrete Fourier transform, which treats the blurred spline as periodic. The period
+    # extends to 16 sample distances from the centre. There even the widest Gaussian is negligible, so that its periodic
+    # copies do not overlap.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
@@ -121,11 +121,11 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of spline coefficients whose sum best approximates a blurred Gaussian spectrum.
+    """Return the weights of spline coefficients whose sum best approximates a blurred spectrum, at ``places``.
 
-    The Gaussian has the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum of spline coefficients is fitted to
-    the blurred Gaussian by least squares over all positions of the Gaussian. The fitted sum has the exact area, mean
-    and variance.
+    The spectrum before the blur is a Gaussian with the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum is
+    fitted to the blurred Gaussian by least squares over all positions of the Gaussian. The fitted sum has the exact
+    area, mean and variance.
     """
     # The weights solve the normal equations of the fit. The right-hand side of these equations contains the products of
     # each spline coefficient and the blurred Gaussian, integrated over all positions of the Gaussian.
@@ -140,10 +140,10 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 @functools.cache
 def _inverse_products(count: int) -> NDArray[np.float64]:
-    """Return the inverse matrix of the normal equations of a fit of ``count`` weights.
+    """Return the inverse matrix of the normal equations by which :func:`_closest` fits ``count`` weights.
 
-    The entries of the matrix are products of two spline coefficients of a Gaussian, integrated over the position of the
-    Gaussian.
+    An element of the matrix is the product of two coefficients of the spline through a Gaussian, integrated over the
+    position of the Gaussian.
     """
     order = np.arange(float(count))
     products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN_BLUR_SPACINGS**2)

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 # Number of multiply-add operations of one look-up for each function of w in a colour table; w is the normal component
 # of the scattering vector. The number was derived as three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Number of derived tables that a `ColourLookup` caches for its callers. The colours under a sky are such a table. Two
-# entries suffice for two skies that alternate.
+# Number of tables that a `ColourLookup` caches for its callers, who compute them by look-ups. The colours under a sky
+# are such a table. A cache of two tables suffices for two skies that alternate.
 _MOST_DERIVED = 2
 # Number of directions that a CPU thread looks up in one launch. The value was chosen so that the arrays of these
 # directions fit into the cache of a core.
@@ -36,7 +36,7 @@ _LOOK_UPS_OF_SLICE = 2048
 
 
 class Lookups(tuple["ColourLookup | None", ...]):
-    """Look-ups of the surfaces of a picture: one per height field, and None for a surface without a height field."""
+    """Colour look-ups of the surfaces of a picture: one per height field, None for a surface without a height field."""
 
     __slots__ = ()
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 # window. The number was derived from a sum of equal Gaussians at this distance, which varies by 2 exp(−2π²/1.6²) =
 # 9e-4. At the inner end of each octave, the distance is half as large, and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
-# Smallest number of samples of the spectrum from one ring to the next. It was measured that a single sample makes the
-# integral between rings inaccurate: the 99th percentile of its error was 7e-4, compared with 2e-5 for two samples.
+# The spectrum is integrated along the radius, from one ring (circle) to the next. This is the smallest number of
+# samples per ring. The 99th percentile of the error was measured: 7e-4 with one sample, and 2e-5 with two samples.
 _FEWEST_DIVISIONS = 2.0
 # Radius of the innermost ring, in standard deviations of the spectrum's blur by the coherence window. The number was
 # derived from a Gaussian of this width: within the radius, it deviates from a constant by at most (1/50)²/2 = 2e-4.
@@ -42,8 +42,8 @@ _LINE_BLUR_SPACINGS = 0.8
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur that a mip level adds to level 0, as an angle of azimuth [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Largest number of azimuth samples of a ring. Larger numbers, which would overflow 64-bit integers, are replaced by it.
-# A table with so many samples is refused later, by a ``MemoryError``.
+# Largest number of azimuth samples of a table's ring (circle). Larger numbers, which would overflow 64-bit integers,
+# are replaced by it. A table with so many samples is refused later, by a ``MemoryError``.
 _MOST_AZIMUTHS = 2.0**60
 
 
@@ -146,7 +146,7 @@ class MipLayout:
 
     @property
     def rows(self) -> int:
-        """Total number of rows, including the azimuth samples that are repeated at both ends of each ring."""
+        """Total number of rows of the table, including azimuth samples that are repeated at both ends of each ring."""
         return sum(self._row_counts)
 
     @property

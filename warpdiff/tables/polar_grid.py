@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.plan import Plan
 
-# Smallest number of azimuth samples of a ring of a table.
+# Smallest number of azimuth samples of a ring (circle of constant |(u, v)|) of a colour table.
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
@@ -87,7 +87,7 @@ class PolarGrid:
 
     @property
     def ring_azimuths(self) -> NDArray[np.int64]:
-        """Number of samples on each ring."""
+        """Number of azimuth samples on each ring of the grid."""
         return np.repeat(self.azimuths, self.rings)
 
     @property
@@ -97,12 +97,12 @@ class PolarGrid:
 
     @property
     def radii(self) -> NDArray[np.float64]:
-        """Radii of the rings, shape (octaves, rings)."""
+        """Radii of the rings of the grid, shape (octaves, rings)."""
         octaves = np.arange(len(self.azimuths))[:, None] + np.arange(self.rings) / self.rings
         return np.asarray(np.exp(self.log_radius + octaves * math.log(2.0)))
 
     def places(self) -> NDArray[np.float64]:
-        """Return the positions of all samples in the plane, ring by ring, shape (nodes, 2)."""
+        """Return the positions of all samples of the grid in its plane, ring by ring, shape (nodes, 2)."""
         azimuths = self.ring_azimuths
         node = np.arange(self.nodes) - np.repeat(self.starts[:-1], azimuths)
         angles = 2.0 * math.pi * node / np.repeat(azimuths, azimuths)
@@ -144,7 +144,7 @@ def ring_count(rings_per_octave: int) -> int:
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a table's colours; ``few_orders`` is for few, separate diffraction orders."""
+    """Return the typical error of a colour table; ``few_orders`` states that few, separate orders contribute to it."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 

@@ -48,9 +48,9 @@ _SMALLEST_KAPPA = 1e-3
 # coefficients add. `_CARDINALS_SHARE` is for other spectra, which are interpolated by polynomials in |κ| = |w|/λ. A sum
 # of the terms of such a polynomial may be much smaller than its single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# A row has the weights of basis functions (terms) for one Fourier coefficient. `_ROWS_FOR_TERM_SIZES` is the number of
-# rows from which the typical size of each weight is computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed,
-# relative to the largest one.
+# Each Fourier coefficient is a weighted sum of basis functions (terms). `_ROWS_FOR_TERM_SIZES` is the number of
+# coefficients from which the typical size of the weight of each term is computed. `_LEAST_TERM_SIZE` is the smallest
+# size that is assumed, relative to the largest size of all terms.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of values of |κ| = |w|/λ at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
@@ -86,7 +86,7 @@ class SpectrumKey:
 
 @dataclass(frozen=True, eq=False)
 class SpectrumSource(ABC):
-    """Description of the power spectrum from which a colour table is computed, without the samples of the spectrum.
+    """Power spectrum from which a colour table is computed: all its parameters, but not the samples of the spectrum.
 
     Attributes:
         key: Cache key of the spectrum.
@@ -137,7 +137,7 @@ class SpectrumSource(ABC):
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
-        """Return the conversion to colours for an illuminant and a material, from the cache if possible."""
+        """Return the cached weights that convert the spectrum to colours for an illuminant and a material."""
         if illuminated not in self.projections:
             self.projections[illuminated] = make_projection(plan, self.basis, illuminated, self.layout)
         return self.projections[illuminated]
@@ -231,7 +231,7 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that adds spectral lines to azimuths, and the kernel that converts the sums to colours."""
+        """Return two kernels: one adds spectral lines to the azimuths of a grid, one converts the sums to colours."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
@@ -301,9 +301,9 @@ def source_type(coherence: Coherence) -> type[SpectrumSource]:
 def source_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> SpectrumSource:
-    """Return the power spectrum for a plan (the numbers of a computation) and for the directions of a call.
+    """Return the power spectrum for a plan (the numbers of a computation) and the directions of a call.
 
-    It is taken from the cache if possible.
+    The spectrum is taken from the cache if possible.
     """
     coefficient_range = CoefficientRange.covering(plan.direction_range.joined(direction_range))
     key = SpectrumKey(
@@ -359,9 +359,10 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the typical size of the weight of each basis function (term) in ``rows``, shape (terms,).
+    """Return the typical size of the weight of each basis function (term) of Fourier coefficients, shape (terms,).
 
-    The size is the root mean square over the rows, after each row is divided by its norm.
+    A row of ``rows`` has the weights of one coefficient. The size is the root mean square over the rows, after each row
+    is divided by its norm.
     """
     flat = rows.reshape(-1, rows.shape[2])
     sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Maximum size of the cache of a height field. `MOST_CACHED` is the largest number of entries of each kind (each
-# attribute of :class:`TableCache`), except colour tables. `MOST_BYTES` is the total size of the colour tables [bytes].
+# Limits of the cache of a height field. `MOST_CACHED` is the largest number of tables of each kind (each attribute of
+# :class:`TableCache`), except colour tables. `MOST_BYTES` is the largest total size of the colour tables [bytes].
 # Memory is proportional to these numbers.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()

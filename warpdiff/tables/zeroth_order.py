@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of height levels of the histogram from which the zeroth order is computed. Rounding to levels causes an error
-# of the phase 2πκh. With this number, the error is at most about 2.5e-4 rad per µm of the height range.
+# Number of levels of the histogram of heights h from which the zeroth order is computed. Rounding of heights to levels
+# causes an error of the phase 2πκh. With this number, the error is at most about 2.5e-4 rad per µm of height range.
 _HEIGHTS = 65_536
 
 
