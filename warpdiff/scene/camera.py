@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# A framed mesh fills this fraction of the width of the image or of its height, whichever limits the size of the mesh.
-# The value was chosen so that a margin of 4 % remains on each side.
+# Fraction of the image's width or height that a mesh fills after `View.fit`. The side is used that limits the size of
+# the mesh in the image. The value was chosen so that a margin of 4 % remains on each side.
 _FILLED = 0.92
-# Smallest distance of the eye from a framed mesh, in radii of the mesh. Without this limit, a mesh that looks like a
-# point, such as a line along the viewing direction, would have the distance 0.
+# Smallest distance of the camera that `View.fit` places in front of a mesh, in radii of the mesh. Without this limit,
+# a mesh that looks like a point, such as a line along the viewing direction, would have the distance 0.
 _LEAST_DISTANCE = 1e-2
 
 
@@ -71,8 +71,8 @@ class View(ReadOnlyArrays, Checked):
         target: Point in the middle of the image, world frame.
         up: Direction that points up in the image; it need not be perpendicular to the line of sight.
         fov_y_deg: Vertical field of view, less than 180; ignored for orthographic cameras.
-        width: Width of the image.
-        height: Height of the image.
+        width: Width of the image in pixels.
+        height: Height of the image in pixels.
         extent_y: Height of an orthographic image in the unit of the mesh; None is a perspective camera.
 
     Examples:

@@ -58,7 +58,7 @@ def linear_rgba(image: Image.Image, *, is_data: bool = False) -> NDArray[np.floa
 
 
 def _linear_rgba(image: Image.Image, *, is_data: bool) -> NDArray[np.float32]:
-    """Return the result of :func:`linear_rgba`, or raise an OSError whose message is the reason of the damage."""
+    """Return the result of :func:`linear_rgba`, or raise an OSError whose message states why decoding failed."""
     if damage := _damage(image):
         raise OSError(damage)
     result = np.ones((image.height, image.width, 4), np.float32)
@@ -82,7 +82,8 @@ def _linear_rgba(image: Image.Image, *, is_data: bool) -> NDArray[np.float32]:
     # Pillow converts its mode "La" to the mode "LA" only.
     source = image.convert("LA") if image.mode == "La" else image
     values = np.asarray(source.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
-    # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
+    # For speed, the sRGB transfer function is computed once for each of the 256 possible 8-bit values, not for every
+    # pixel.
     table = np.arange(256) / 255.0
     result[..., :3] = (table if is_data else srgb_decode(table)).astype(np.float32)[values[..., :3]]
     if has_alpha:
