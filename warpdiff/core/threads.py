@@ -155,7 +155,7 @@ forks.at_fork(after_in_child=_pool.cache_clear)
 
 
 # `_contexts` is the number of active contexts of `single_threaded_blas`. `_former` contains each library of linear
-# algebra, with the number of its threads before the first of these contexts.
+# algebra, with the number of threads that it used before the first of these contexts.
 _contexts = 0
 _former: dict[str, tuple[LibController, int]] = {}
 _lock = forks.lock()

@@ -154,7 +154,7 @@ class LobePass(LightPass):
     ) -> list[KernelCall]:
         """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe.
 
-        They also add the light that plain surfaces reflect.
+        They also add the light that surfaces without a height field reflect.
 
         Args:
             towards: Direction to the light for each ray; if it is empty, all rays use the direction of the light.
@@ -194,9 +194,10 @@ class LobePass(LightPass):
         return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: changes of (u, v) over the pixel filter and the light's extent.
+        """Return kernel calls that compute footprints (changes of the scattering vector (u, v) within a pixel).
 
-        The changes for a point light include those of the direction to the light across a pixel.
+        They include the pixel filter and the extent of the light. For a point light, they also include the change of
+        the direction to the light.
         """
         rays, pixels, source = self.context.rays, batch.gbuffer.pixels, self.part.lobes[lobe]
         kernels: list[tuple[wp.Kernel, list[Any]]] = []

@@ -69,7 +69,7 @@ class PictureUnit(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """Finish of a face: its surface in the picture, its material, and the material that colour look-ups include."""
+    """Finish of a face: the index of its surface, its material, and the material whose reflectance look-ups include."""
 
     surface: int
     material: Material | None

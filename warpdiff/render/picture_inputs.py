@@ -168,7 +168,7 @@ class SurfaceInputs:
 
     @property
     def _evaluation_of_table(self) -> Evaluation:
-        """Inputs from which plans and tables are made. With a grating map, their coherence may not be the picture's."""
+        """Inputs from which plan and colour table are made. With a grating map, they may have another coherence."""
         evaluation = self.evaluation
         if self.grating_map is None:
             return evaluation
@@ -303,7 +303,7 @@ class PictureInputs:
         return replace(self, settings=settings, surfaces=surfaces, parts=list(parts))
 
     def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
-        """Return the plans in the form of the user's surfaces: one plan, or plans by the keys of the parts.
+        """Return the only plan if the user gave one height field, otherwise the plans by keys of the mesh's parts.
 
         Plain surfaces have no plan, and are omitted.
         """
@@ -392,7 +392,7 @@ def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSett
 
 
 def _has_own_coherence(surface: SurfaceOfPart) -> bool:
-    """Whether a surface does not use the coherence of the call. A grating map has a default coherence of its own."""
+    """Whether a surface does not use the call's argument ``coherence``. A grating map has a default of its own."""
     if isinstance(surface, Surface):
         return surface.coherence is not None or isinstance(surface.heightfield, GratingMap)
     return isinstance(surface, GratingMap)

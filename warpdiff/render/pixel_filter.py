@@ -75,7 +75,7 @@ def _cut_deviation() -> float:
 
 @functools.cache
 def places_at(level: int, device: str) -> wp.array:
-    """Return the positions of a pixel's cells relative to its centre, (right, down) [pixels], on a device."""
+    """Return the positions (right, down) of a pixel's subpixel cells relative to its centre [pixels], on a device."""
     across = 2**level
     places = (np.arange(across) + 0.5) / across - 0.5
     down, right = np.meshgrid(places, places, indexing="ij")
@@ -119,7 +119,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Divide a list of pixels into consecutive parts. One rasterization finds the faces for all cells of a part."""
+    """Divide a list of pixels into parts. One rasterization finds the faces for all subpixel cells of a part."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
@@ -163,7 +163,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the smallest divisor of relative errors: 1e-3 of the 99th percentile of illuminated luminances."""
+    """Return the smallest divisor of relative errors: 1e-3 of the 99th percentile of illuminated pixels' luminances."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)

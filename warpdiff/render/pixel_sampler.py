@@ -36,7 +36,7 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """Indices of a light (of its pass) and of one of its lobes (directions, or Gaussians of directions)."""
+    """Index of a light in the list of passes, and index of one of its lobes (directions or Gaussians of directions)."""
 
     light: int
     lobe: int
@@ -109,7 +109,7 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Write samples of a lobe (direction to a light) at the hits of one ray per pixel to ``samples``.
+        """Sample a lobe (direction to a light) at the hits of one ray per pixel, and write the result to ``samples``.
 
         The light that the pigment reflects is added to the colours in ``sums``. The light that the height field
         diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. The ray is traced
@@ -168,7 +168,8 @@ class PixelSampler:
     ) -> list[tuple[DirectionRange, DirectionSample, int]]:
         """Return the directions for which plans (numbers of computations) are made, by height field.
 
-        Only directions under light count. They are described by their range, a sample of them and their number.
+        Only directions of light that reaches the surface count. They are described by their range, a sample of them and
+        their number.
 
         Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
         are computed.

@@ -61,7 +61,7 @@ class RefinementPolicy:
 
     @property
     def measures_scatter(self) -> bool:
-        """Whether errors follow from the scatter of the cells' colours, instead of their curvature over the pixel."""
+        """Whether errors are estimated from the noise of the cells' colours, instead of smooth changes over a pixel."""
         return self.is_sampled or self.has_dots
 
     @property
@@ -189,7 +189,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that decides which tiles at ``level`` get more cells, and at which level."""
+        """Return the kernel call that selects the tiles at ``level`` that are divided further, and their next level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -240,8 +240,8 @@ class TileExecutor(Protocol):
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
-            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if its error requires subdivision; ``SHARED`` if the pixel and its eight
+            neighbours are subdivided only because of marked pixels near them; otherwise 0.
     """
 
     floor: wp.array

@@ -126,7 +126,7 @@ class SharedTileBuffers:
         self, level: int, pixels: NDArray[np.int32], pipeline: Pipeline, nearest: NDArray[np.uint64], *, threads: int,
         progress: Callable[[float], None] | None,
     ) -> None:  # fmt: skip
-        """Launch kernel calls over all cells of some pixels, in slices of pixels that fit a part of the buffers.
+        """Launch kernel calls over all subpixel cells of some pixels, in slices of pixels that fit a buffer part.
 
         Args:
             level: Level of the cells.
