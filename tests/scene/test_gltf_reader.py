@@ -90,7 +90,7 @@ def changed(change):
 
 
 def moved(tree):
-    """Distribute the transform of the square over three nodes, one with a matrix and one with a quaternion."""
+    """Distribute the transform of a square over three nodes of a glTF file: a shift, a quaternion, and a matrix."""
     half = math.sqrt(0.5)
     tree["nodes"] = [
         {"children": [1], "translation": [5, 0, 0]},
@@ -157,7 +157,7 @@ def test_instances_are_placed_by_translation_rotation_and_scale(tmp_path):
     np.testing.assert_allclose(world[4:8], [[5, 0, 0], [4, 0, 0], [4, -1, 0], [5, -1, 0]], atol=1e-5)
     np.testing.assert_allclose(world[8:], [[0, 5, 0], [2, 5, 0], [2, 3, 0], [0, 3, 0]], atol=1e-5)
     np.testing.assert_allclose(surface.tangents[[0, 4, 8]], [[1, 0, 0], [-1, 0, 0], [1, 0, 0]], atol=1e-6)
-    # A mirrored instance must have the same outside as the original. Only its texture is mirrored.
+    # The outer side of a mirrored instance must be the outer side of the original mesh. Only its texture is mirrored.
     np.testing.assert_allclose(surface.normals, UP[[0] * 12], atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, [1] * 8 + [-1] * 4)
     assert surface.geometry_names == ("mesh 0",)

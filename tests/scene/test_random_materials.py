@@ -24,8 +24,8 @@ TEXTURES = ("baseColorTexture", "metallicRoughnessTexture", "emissiveTexture")
 def random_material(rng, file):
     """Add a random material to a glTF file; return its factors, its textures, and whether its alpha mode is MASK.
 
-    A texture is returned as the colour of its image (None if the image is missing), and the number of the texture
-    coordinates that it uses.
+    A texture is returned as the colour of its image (None if the image is missing), and the n of the texture
+    coordinates TEXCOORD_n that it uses.
     """
     values = {name: rng.uniform(size=size or None) for name, size in FACTORS.items() if rng.random() < 0.7}
     textures = {}
@@ -55,8 +55,8 @@ def random_material(rng, file):
 def expected_of(material, sets, vertex_colour):
     """Return the expected base colour (or None), visibility, metallic and roughness, and emission of a part of a scene.
 
-    The values follow from the rules of the glTF format. ``sets`` are the numbers of the part's sets of texture
-    coordinates.
+    The values follow from the rules of the glTF format. ``sets`` are the n of the part's texture coordinates
+    TEXCOORD_n.
     """
     values, textures, is_mask = material or ({}, {}, False)
     texel, number = textures.get("baseColorTexture", (None, 0))

@@ -224,7 +224,7 @@ class Image:
     def _behind(
         self, background: Image | ArrayLike | None, shown: DisplaySettings, factor: float, *, exact: bool
     ) -> NDArray[np.float64] | None:
-        """Return ``background`` in the linear light of the display, shape (3,) or (height, width, 3); None for None."""
+        """Return ``background`` in the display's linear light, shape (3,) or (height, width, 3); None if it is None."""
         if background is None:
             return None
         height, width = self.mask.shape

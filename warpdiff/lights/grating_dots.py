@@ -149,7 +149,7 @@ class GratingDots:
         In the frame of a dot, the dot's rotation and scaling of the height field are undone.
 
         Args:
-            surface: Index of a surface with a map.
+            surface: Index of a surface with a grating map.
             gbuffer: Hits of the rays.
             samples: Samples in the frames of the hits.
             of_dots: Arrays for the result.

@@ -193,14 +193,14 @@ class LightSamples:
 
     Attributes:
         occluded: Whether the mesh occludes the lobe at each hit, (n,).
-        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
+        scattering_vectors: Scattering vectors (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. For a sky, they are 1 at hits.
         spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); the shape is (0, 0) unless each
             ray has its own direction to the light.
         towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
             empty unless directions are drawn at random or a light has an emission profile.
-        footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
+        footprints: Changes of (u, v) over the filter of each ray, (n,); empty if pixels show points.
         finish_gains: Geometry factors at faces with the finish (surface and material) that is evaluated, and 0 at other
             faces, (n,); empty for a single finish.
         of_dots: Samples in the frames of dots; None without a grating map.
@@ -456,7 +456,7 @@ class LightPass(ABC):
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:
-        """Return the array that marks hits in the shadow of the last lobe; it is empty if nothing casts shadows."""
+        """Return the array that marks hits where the mesh occludes the current lobe; empty if nothing casts shadows."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:

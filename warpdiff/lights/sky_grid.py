@@ -129,7 +129,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
 
 
 def grid_directions() -> NDArray[np.float64]:
-    """Return unit vectors to the centres of the grid's cells, shape (ROWS, 2 ROWS, 3)."""
+    """Return unit vectors to the centres of the latitude-longitude grid's cells, shape (ROWS, 2 ROWS, 3)."""
     polar = (np.arange(ROWS) + 0.5) / ROWS * math.pi
     azimuth = ((np.arange(2 * ROWS) + 0.5) / ROWS - 1.0) * math.pi
     level = np.sin(polar)[:, None]

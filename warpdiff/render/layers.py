@@ -155,7 +155,7 @@ def lights_of(names: Sequence[str]) -> dict[int, str]:
 
 
 def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the layers of a picture with one ray per pixel, by name: all layers except ``"light"``.
+    """Return the layers (arrays such as depths and normals) of a picture with one ray per pixel, by name.
 
     Args:
         picture: Picture of points (single directions), one ray per pixel. Its lights are the results of

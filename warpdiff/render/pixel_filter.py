@@ -84,10 +84,10 @@ def places_at(level: int, device: str) -> wp.array:
 
 @functools.cache
 def weights_at(level: int, means: bool, device: str) -> wp.array:
-    """Return the weights with which the cells of three pixels in a row contribute to the middle pixel, along one axis.
+    """Return the weights with which the subpixel cells of three neighbouring pixels contribute to the middle pixel.
 
-    Each cell has a narrow filter. With these weights, the narrow filters add up to the wider pixel filter. The sum of
-    the weights is 1.
+    The three pixels are along one axis. Each cell has a narrow filter. With these weights, the narrow filters add up to
+    the wider pixel filter. The sum of the weights is 1.
     """
     return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
 
@@ -103,12 +103,11 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 @functools.cache
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
-    """Return correction factors for the weights of cells, one row per level and three columns.
+    """Return correction factors for the weights of subpixel cells, one row per level and three columns.
 
-    The columns are for the neighbour of a pixel on one side, the pixel itself, and the neighbour on the other side
-    along an axis. The filter of the pixel has a certain part of its weight in each of these three pixels. The weights
-    of the cells in such a pixel add up to a slightly different sum. The correction factor is that part divided by this
-    sum.
+    The columns are for three pixels along an axis: the neighbour of a pixel on one side, the pixel itself, and the
+    neighbour on the other side. The filter of the pixel has a certain part of its weight in each of them. The weights
+    of the cells there add up to a slightly different sum. The correction factor is that part divided by this sum.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS

@@ -62,14 +62,14 @@ class PixelSampler:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard the hits of rays and the samples there, for example after a change of the view."""
+        """Discard the hits of rays and the light samples at the hits, for example after a change of the view."""
         self._sample: int | None = None
         self._lobe: LobeIndex | None = None
 
     def set_lights(self, passes: Sequence[LightPass]) -> None:
         """Set the passes of the lights.
 
-        Hits of rays remain valid. Samples are discarded, because they belong to the previous lights.
+        Hits of rays remain valid. Light samples at the hits are discarded, because they belong to the previous lights.
         """
         self._passes, self._lobe = passes, None
         if any(light_pass.has_directions for light_pass in passes) and not self.samples.spectral_gains.size:
@@ -151,7 +151,7 @@ class PixelSampler:
         A dot of a grating map rotates a height field and scales its lengths by the pitch scale.
 
         Directions to the light are scaled to unit length. A plan that is chosen for them therefore meets its tolerance
-        for the dots with the smallest pitch scale, whose diffraction orders are narrowest relative to (u, v).
+        for the dots with the smallest pitch scale, whose diffraction orders are the narrowest.
         """
         dots, of_dots = self._context.dots, self.samples.of_dots
         if dots is None or of_dots is None or not dots.has_map(surface):
@@ -222,7 +222,7 @@ class _Measured:
         surface: Index of the surface.
         within: Range of the directions.
         count: Number of the directions.
-        sampled: Samples of the directions.
+        sampled: Random samples of the directions, one for each call of :meth:`add` with ``parts``.
     """
 
     heightfield: HeightField
@@ -239,8 +239,8 @@ class _Measured:
     ) -> None:
         """Add the directions of one lobe.
 
-        A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of samples that
-        will be joined to one, which determines their sizes.
+        A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of such samples
+        that will be joined to one: the more there are, the fewer directions each sample has.
         """
         scattering_vectors, to_lights, gains = directions
         gains = context.gains_on(self.surface, gains)

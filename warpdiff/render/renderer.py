@@ -113,7 +113,7 @@ class Renderer:
     def _begin(
         self, inputs: PictureInputs, surface: Surface, view: View, lookups: Lookups | None = None
     ) -> None:  # fmt: skip
-        """Choose the plans, and make the tables and the picture. Tables that exist already are in ``lookups``."""
+        """Choose the plans, and make colour tables and picture. ``lookups`` has the tables that exist already."""
         device = inputs.evaluation.device
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):

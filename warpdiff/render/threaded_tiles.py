@@ -128,7 +128,7 @@ class ThreadedTiles:
         self.marks = self._array(self._marked, wp.uint8)
 
     def end(self, light: LightRefinement) -> None:
-        """Do nothing; only the executor on a GPU has work at the end of a light."""
+        """Do nothing; only the executor on a GPU has work at the end of the refinement under a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
         """Launch a kernel call over ``elements``, which are pixels or tiles, in slices."""

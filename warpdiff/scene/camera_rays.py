@@ -169,7 +169,7 @@ class RasterizedRays(CameraRays):
         return self.calls(sampling, self.gbuffer, deviation)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
-        """Return the kernel calls that :meth:`CameraRays.calls` describes, if rasterization has found nearest faces."""
+        """Return the kernel calls for rays whose nearest faces are known from rasterization."""
         return self._known_face_calls(sampling, gbuffer, deviation)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:

@@ -79,7 +79,7 @@ class Body:
 
     @property
     def needs_directions(self) -> NDArray[np.bool_]:
-        """Whether each vertex belongs to a face that needs directions, shape (n,)."""
+        """Whether each vertex belongs to a face that needs tangent directions, shape (n,)."""
         result = np.zeros(self.vertices.shape[1], np.bool_)
         result[self.faces[:, self.is_used]] = True
         return result
@@ -273,7 +273,7 @@ def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
     shares = np.sum(np.abs(parts) ** 2, axis=1)
     largest = shares.max(axis=1, keepdims=True)
     chosen = np.take_along_axis(parts, np.argmax(shares >= 0.5 * largest, axis=1)[:, None, None], axis=2)
-    # If all candidate fields have a projection of 0, the field is the first eigenvector.
+    # If the projections of all candidate fields onto the eigenvectors are 0, the field is the first eigenvector.
     chosen[:, 0] += largest == 0.0
     field = (eigenvectors @ chosen)[..., 0]
     sizes = np.abs(field)
@@ -292,8 +292,8 @@ def _least_eigenvectors(
         start: Vectors with which the iteration starts, besides random vectors, shape (k, columns).
 
     Returns:
-        Eigenvalues in ascending order, shape (columns,), and orthonormal columns, shape (k, columns). A field is a
-        column divided by ``root``.
+        Eigenvalues in ascending order, shape (columns,), and orthonormal eigenvectors, shape (k, columns). A direction
+        field is an eigenvector divided by ``root``.
     """
     from scipy.sparse import diags_array, eye_array
     from scipy.sparse.linalg import splu

@@ -49,10 +49,10 @@ class MaterialFactors:
 
 
 def checked_parts(parts: Sequence[ScenePart]) -> list[ScenePart]:
-    """Return the parts of a scene with finite vertex colours, and metallic, roughness and emission within their limits.
+    """Return the parts of a scene with finite vertex colours, and with factors of materials within their limits.
 
-    Metallic and roughness are from 0 to 1, and emission is at least 0. One warning names all factors outside of these
-    limits; they are replaced by the nearest limit.
+    Base colour, metallic and roughness are from 0 to 1, and other factors are at least 0. One warning names all factors
+    outside of these limits; they are replaced by the nearest limit.
 
     Raises:
         ValueError: A factor of a material is not finite; the message names it and its material.

@@ -104,9 +104,10 @@ def _load_by_trimesh(file: Path) -> list[ScenePart]:
 
 
 def _rewritten(data: bytes, suffix: str) -> tuple[bytes, list[obj_text.PartName]]:
-    """Return the contents of a mesh file for trimesh, and for .obj files also the names of the parts.
+    """Rewrite the contents of a mesh file so that trimesh reads them correctly.
 
-    Texts are encoded in UTF-8. Concave polygons are divided into triangles.
+    Texts are encoded in UTF-8. Concave polygons are divided into triangles. The second result has the names of the
+    parts of an .obj file.
     """
     if suffix == ".obj":
         text = decoded(data).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")

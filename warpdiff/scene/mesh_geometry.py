@@ -24,7 +24,7 @@ ZERO_AREA = 1e-9
 # rounding errors of float32.
 WELD = 1e-6
 # Tangents on two sides of a texture seam are averaged if the cosine of the angle between them is at least this number.
-# It is the cosine of 30°, which was chosen. Tangents with larger angles remain separate.
+# It is the cosine of 30°, a chosen value. Tangents with larger angles remain separate.
 SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 
@@ -39,7 +39,7 @@ class FaceGeometry:
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        """Compute the edges of ``faces``, shape (3, m), between ``vertices``, shape (3, n)."""
+        """Compute the edge vectors of ``faces``, shape (3, m), between positions ``vertices``, shape (3, n)."""
         self.edges = np.empty((3, *faces.shape))
         for edges, component in zip(self.edges, vertices, strict=True):
             corners = component.take(faces)
@@ -83,7 +83,7 @@ class TextureGeometry:
     """
 
     def __init__(self, uvs: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        """Compute the edges of ``faces``, shape (3, m), between ``uvs``, shape (2, n)."""
+        """Compute the edges of ``faces``, shape (3, m), between the texture coordinates ``uvs``, shape (2, n)."""
         corners = uvs.take(faces, axis=1)
         self.one = corners[:, 1] - corners[:, 0]
         self.two = corners[:, 2] - corners[:, 0]

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 # Key under which the dictionary ``info`` of a Pillow image stores the reason why the image cannot be decoded.
 _DAMAGE = "warpdiff:damage"
-# Names of the image formats in Pillow that textures may have. Other decoders of Pillow do not read files of a mesh.
+# Names in Pillow of the image formats that textures may have. Textures in other formats are refused, so that no other
+# decoder of Pillow reads files from untrusted sources.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS", "MPO")
 # Pillow's image modes with an alpha channel.
 _MODES_WITH_ALPHA = ("RGBA", "RGBa", "LA", "La", "PA")

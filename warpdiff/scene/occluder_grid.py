@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Limits above which a hierarchy (tree of bounding boxes) is used instead of a grid. `_MOST_CELLS` is the mean number of
 # cells that a face overlaps. `_MOST_LISTED` is the mean length of the cells' lists of faces, weighted by their length.
-# Meshes with very uneven faces exceed these limits, and a hierarchy is then faster.
+# Meshes whose faces have very different sizes exceed these limits, and a hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Number of faces that a CPU thread processes at once (a slice). Other values would change only the time.
 _SLICE = 4096

@@ -67,8 +67,8 @@ def key_of_faces(surface: NamedFaces, keys: Sequence[str], argument: str) -> NDA
 
     Args:
         surface: The mesh.
-        keys: Keys of parts, each once.
-        argument: Name of the argument in messages.
+        keys: Names that select parts of the mesh; all differ.
+        argument: Name of the argument that contains the keys, for messages.
 
     Returns:
         Shape (m,) for m faces.

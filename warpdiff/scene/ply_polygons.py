@@ -273,6 +273,6 @@ def _packed(row: list[list[Any]], face: _Element, order: str) -> bytes:
 
 
 def _header(lines: list[str], face: _Element, count: int) -> bytes:
-    """Return the header of the file with the number of faces changed to ``count``."""
+    """Return the header of a .ply file with the number of faces changed to ``count``."""
     old = next(line for line in lines if line.split()[:2] == ["element", face.name])
     return "".join(f"{f'element {face.name} {count}' if line is old else line}\n" for line in lines).encode()

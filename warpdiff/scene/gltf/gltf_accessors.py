@@ -88,7 +88,7 @@ class Accessors:
         return values[:, 0].astype(np.int64)
 
     def _read(self, index: int, widths: Sequence[int]) -> NDArray[Any]:
-        """Return the numbers of an accessor in their own type, shape (n, k)."""
+        """Return the numbers of an accessor in the type that they have in the file, shape (n, k)."""
         accessor = self._elements[index]
         dtype = _dtype(accessor)
         kind = accessor.text("type")

@@ -38,7 +38,7 @@ class Container:
     """
 
     def __init__(self, file: Path) -> None:
-        """Read the JSON of a file."""
+        """Read the JSON of a glTF file."""
         memory.require_memory(2.0 * file.stat().st_size, f"{ref('mesh')} file {file.name!r}", "use a smaller one")
         data = file.read_bytes()
         self.name = file.name

@@ -28,7 +28,7 @@ def decoded_primitive(
     """Decode a primitive of a mesh; return the vertex indices of its triangles' corners, and its attributes by name.
 
     Args:
-        compressed: Object of the extension.
+        compressed: JSON object of the extension KHR_draco_mesh_compression.
         attributes: Indices of the accessors of the primitive's attributes, by name.
         container: Buffers of the file.
         accessors: Accessors of the file, which state the attributes whose integers are normalised.

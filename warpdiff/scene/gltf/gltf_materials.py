@@ -105,7 +105,7 @@ class Materials:
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:
-        """Return the number of the texture coordinates that a material's normal map uses; tangents belong to them."""
+        """Return n for the texture coordinates TEXCOORD_n of a material's normal map, to which tangents belong."""
         reference = self._elements[index].element("normalTexture")
         return 0 if reference is None else _uv_set(reference)
 
@@ -123,7 +123,7 @@ class Materials:
         return (red, green, blue, alpha), image
 
     def _texture(self, owner: Element, name: str) -> TextureMap | None:
-        """Return the texture to which a material refers under a name, or None."""
+        """Return the texture to which the JSON member ``name`` of a material refers, or None."""
         reference = owner.element(name)
         if reference is None:
             return None
@@ -173,7 +173,7 @@ class Materials:
 
 
 def _uv_set(reference: Element) -> int:
-    """Return the number of the texture coordinates that a material's reference to a texture uses (``texCoord``)."""
+    """Return n for the texture coordinates TEXCOORD_n that a material's reference to a texture uses."""
     number = reference.integer("texCoord", 0)
     transform = reference.extension("KHR_texture_transform")
     return number if transform is None else transform.integer("texCoord", number)

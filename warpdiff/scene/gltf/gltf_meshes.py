@@ -145,7 +145,7 @@ class Meshes:
         return appearance
 
     def _normal_uv_set(self, primitive: Element) -> int:
-        """Return the number of the texture coordinates of a primitive's normal map, to which its tangents belong."""
+        """Return n for the texture coordinates TEXCOORD_n of a primitive's normal map, to which its tangents belong."""
         number = primitive.index("material", len(self._materials))
         return 0 if number is None else self._materials.normal_uv_set(number)
 
@@ -218,7 +218,7 @@ def _tangents_of_base(part: ScenePart, normal_uv_set: int) -> NDArray[np.float64
 
 
 def _flat(part: ScenePart) -> ScenePart:
-    """Return a part that has no normals in the file with face normals. Tangents of the file are ignored, as in glTF."""
+    """Add face normals to a part whose file states no normals. Tangents of the file are dropped, as glTF requires."""
     separate = replace(part, tangents=None).with_separate_corners()
     first, second, third = (separate.vertices[corner::3] for corner in range(3))
     with np.errstate(all="ignore"):  # vertices that are not finite are refused later

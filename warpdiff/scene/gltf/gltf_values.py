@@ -56,7 +56,7 @@ class Element:
         return name in self.values
 
     def where(self, name: str) -> str:
-        """Return the path of one of the values of the object."""
+        """Return the path of the JSON member ``name`` in the file, such as ``nodes[3].mesh``."""
         return f"{self.place}.{name}" if self.place else name
 
     def refuse(self, name: str, rule: str) -> NoReturn:
@@ -175,7 +175,7 @@ class Element:
 
 
 def parsed(data: bytes) -> Element:
-    """Return the JSON object that is the text of a file."""
+    """Parse the text of a glTF file, and return it as a JSON object."""
     try:
         return Element(json.loads(decoded(data)), "")
     except ArgumentValueError:
