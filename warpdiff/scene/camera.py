@@ -71,8 +71,8 @@ class View(ReadOnlyArrays, Checked):
         target: Point in the middle of the image, world frame.
         up: Direction that points up in the image; it need not be perpendicular to the line of sight.
         fov_y_deg: Vertical field of view, less than 180; ignored for orthographic cameras.
-        width: Width of the image in pixels.
-        height: Height of the image in pixels.
+        width: Width of the image.
+        height: Height of the image.
         extent_y: Height of an orthographic image in the unit of the mesh; None is a perspective camera.
 
     Examples:
