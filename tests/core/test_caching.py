@@ -43,7 +43,7 @@ def test_a_lookup_does_not_replace_the_stored_key():
 
 
 class Frozen:
-    """Test key that is mutable, contrary to its name, and compared by its number."""
+    """Mutable object that tests use as the key of a cache. Two such keys are equal if their numbers are equal."""
 
     def __init__(self, number):
         self.number = number

@@ -114,7 +114,7 @@ def test_a_damaged_file_is_replaced(folder, rng, tries):
             arrays = disk_cache.cached_on_disk("key", HEIGHTS, make)
             np.testing.assert_array_equal(arrays["rows"], np.ones((2, 3), np.float32))
             assert arrays["step"] == 0.25
-        # After damage the result is computed once, and the cache file is then valid again.
+        # After a cache file was damaged, its arrays must be computed only once. The file must then be valid again.
         assert len(calls) == 1
         assert path.read_bytes() == whole
 
@@ -142,7 +142,8 @@ def test_old_temporary_files_of_killed_processes_are_removed(folder, tries):
         os.utime(file, (1e9, 1e9))
     disk_cache.cached_on_disk("other", HEIGHTS, counted(1.0)[1])
     assert not old.exists()
-    # Young temporary files are kept, because another process may still be writing them. Other programs' files are kept.
+    # The cache must not delete recent temporary files, because another process may still be writing them. It must not
+    # delete files of other programs either.
     assert young.exists()
     assert (folder / "mine.part").exists()
 

@@ -18,7 +18,7 @@ def test_texts_are_decoded_without_their_mark(code):
 
 
 def test_names_of_other_encodings_remain_different_and_their_files_remain_texts(tmp_path):
-    """Shift-JIS has bytes that Windows-1252 does not define. They must not all become the same character."""
+    """Shift-JIS texts have bytes that Windows-1252 does not define. They must become different characters."""
     first, second = (decoded(name.encode("shift-jis")) for name in ("マ", "ミ"))
     assert first != second
     path = tmp_path / "heights.txt"

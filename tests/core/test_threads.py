@@ -56,7 +56,7 @@ def test_after_an_error_no_further_items_are_processed(threads):
 
 
 def test_nested_loops_need_no_free_thread():
-    """A nested loop must end even if all other threads of the pool wait for the thread that started it."""
+    """A parallel loop inside another one must end even if no other thread of the pool is free to process its items."""
     done = []
 
     def work(_):
@@ -129,7 +129,7 @@ def test_threads_do_not_accumulate(tries):
 
 
 def blas_threads():
-    """Return the numbers of threads of the linear-algebra libraries that are loaded."""
+    """Return for each loaded library of linear algebra the number of threads that it uses."""
     return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 
 

@@ -11,7 +11,7 @@ import warpdiff as wd
 
 @pytest.fixture(scope="module")
 def pictures(fingers):
-    """Return the same picture of a tube at tolerances of 0.1 and 0.01."""
+    """Return two pictures of the same view of a tube, rendered with tolerances of 0.1 and 0.01."""
     light, view = wd.DirectionalLight((0.6, 1.0, -0.1)), wd.View((0, 1.5, 4), (0, 0, 0), width=40, height=24)
     body, window = wd.meshes.tube(), wd.Coherence(sigma_um=3.25)
     return [
@@ -25,8 +25,8 @@ def test_errors_are_relative_to_the_reference_or_to_a_thousandth_of_its_white(rn
     exact[:2] = 1e-6
     differences = rng.normal(0.0, 0.01, exact.shape)
     result = wd.compare(exact + differences, exact, tolerance=0.02)
-    # The reference luminance Y* is the larger of two values: the 99th percentile of Y and the luminance-weighted median
-    # of Y. In this picture of 600 pixels it is the percentile.
+    # Errors are relative to a luminance Y*. It is the larger of two values: the 99th percentile of Y, and the median of
+    # Y weighted by Y. In this picture of 600 pixels, Y* is the percentile.
     white = np.sort(exact[..., 1].ravel())[593]
     size = np.maximum(np.linalg.norm(exact, axis=2), 1e-3 * white)
     expected = np.linalg.norm(differences, axis=2) / size

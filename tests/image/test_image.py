@@ -103,8 +103,8 @@ def test_metadata_of_an_exr_file_state_how_the_picture_is_displayed(image, savin
     facts = {name: spec.getattribute(f"warpdiff:preview_{name}") for name in ("display", "gamut", "exposure")}
     shown = image.display(display, **saving)
     np.testing.assert_allclose(wd.Image.load(path).display(**facts), shown, atol=1e-5)
-    # The EXR file must describe the display as the PNG file does. Its white point must be that of its primaries, at
-    # which R = G = B.
+    # The EXR file must describe the display transform as the PNG file does. The white point in its metadata must be the
+    # colour that R = G = B has with the primaries in its metadata.
     png = read(image.save(tmp_path / "a.png", display=display, **saving))[0].getattribute("warpdiff:display")
     text, _, exposure = spec.getattribute("warpdiff:preview").rpartition("; exposure ")
     assert text == png.rpartition("; exposure ")[0] + "; white point D65"
@@ -155,7 +155,7 @@ def test_automatic_exposure_maps_the_mean_of_illuminated_pixels_to_0_7(plan, rng
     brightest = np.flatnonzero((mask & ~dark).ravel())[: len(illuminated) // 10_000]
     luminance.ravel()[brightest] = 1e6
     assert exposure() == pytest.approx(usual, rel=1e-3)
-    # If all other pixels are dark, bright orders in 1/200 of the pixels determine the automatic exposure.
+    # If all other pixels are dark, bright diffraction orders in 1/200 of the pixels determine the automatic exposure.
     luminance[luminance > 0.0] = 1e-9
     orders = np.flatnonzero((mask & ~dark).ravel())[::200]
     luminance.ravel()[orders] = 2.0
@@ -219,7 +219,7 @@ def test_a_background_is_mixed_in_linear_light(image, tmp_path):
     np.testing.assert_allclose(over[2:], encoded[2:, :, :3], atol=1e-6)
     mixed = 0.25 * colorimetry.srgb_decode(encoded[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
     np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
-    # A picture with a coverage of 0.25 over a copy of itself has a total coverage of 1 − (1 − 0.25)².
+    # A picture with a coverage of 0.25 in front of a copy of itself has a total coverage of 1 − (1 − 0.25)².
     itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
     np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(encoded[1, :, :3]), atol=1e-5)
     spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))

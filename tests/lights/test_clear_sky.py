@@ -38,8 +38,8 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
     sky = wd.Environment.clear_sky(3.0 * to_sun, sun=0.0, ground_albedo=0.3)
     luminance = sky.radiance_rgb.astype(np.float64) @ LUMINANCE
     polar = (np.arange(512) + 0.5) / 512.0 * math.pi
-    # Columns of the map are ordered by azimuth, counter-clockwise as viewed from above, and are rotated by
-    # ``rotation_deg``.
+    # Columns of the sky's latitude-longitude image are ordered by azimuth, counter-clockwise as viewed from above, and
+    # are rotated by ``rotation_deg``.
     azimuth = ((np.arange(1024) + 0.5) / 512.0 - 1.0) * math.pi - math.radians(sky.rotation_deg)
     for row, column in ((3, 700), (100, 20), (250, 511), (200, 1023)):
         sine = math.sin(polar[row])

@@ -53,7 +53,7 @@ def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
     lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobes()[0]
     assert lobe.power == 3.0
     np.testing.assert_allclose(lobe.deviations @ lobe.to_light, 0.0, atol=1e-12)
-    # The standard deviation of a uniform disc is half of its radius.
+    # The standard deviation of points on a uniform disc along one axis is half of the disc's radius.
     sizes = np.linalg.norm(lobe.deviations, axis=1)
     np.testing.assert_allclose(sizes, 0.5 * math.radians(diameter / 2.0), rtol=1e-9)
 
@@ -153,8 +153,8 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # The picture ``wide`` uses a colour table for its own directions. The renderer uses a colour table for the whole
-    # hemisphere. Their colours therefore differ by up to 5 % of the largest colour.
+    # The picture ``wide`` uses a colour table for the directions that occur in it. The renderer uses a colour table for
+    # the whole hemisphere. Their colours therefore differ by up to 5 % of the largest colour.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 
@@ -243,7 +243,8 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
     # At least three of the compared pixels are outside of the reflection of the disc.
     assert np.count_nonzero(exact[:, 1] < 0.1 * exact[0, 1]) >= 3
-    # A sample of a disc light is a narrow Gaussian, which blurs the rim slightly more than the sum does.
+    # Each random direction to a disc light counts as a narrow Gaussian source. This blurs the rim of the disc slightly
+    # more than the exact sum over points of the disc does.
     assert errors.max() < 0.6
     assert np.median(errors) < 0.05
 
@@ -257,8 +258,8 @@ def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
     image = wd.shade(square, flat, light, view, coherence=LONG, tolerance=0.1, pigment=0.0, refine=False)
-    # Standard deviations in radians: `alpha` of the light, half of its angular radius, and √`lobe2` of the lobe,
-    # λ/(2√2πσ).
+    # Standard deviations of directions [radians]: `alpha` is that of the light, half of its angular radius. √`lobe2` is
+    # that of the lobe that reflects a single direction, λ/(2√2πσ).
     middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
     lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * LONG.sigma_um)) ** 2
     assert middle[1] == pytest.approx(lobe2 / (lobe2 + alpha**2), rel=0.2)

@@ -140,8 +140,8 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
     result = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
-    # The reflection has a Gaussian spread in (u, v), the lobe. The exact Y is the share of the lobe above the horizon.
-    # The integral is a sum over equal steps of the light's angle, with dω cos θ = du dv.
+    # The reflection is a Gaussian over the scattering vector (u, v), the lobe. The exact Y is the share of the lobe
+    # above the horizon. The integral is a sum over equal steps of the light's angle, with dω cos θ = du dv.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
     step = math.pi / 2.0 / 4000.0
@@ -261,8 +261,8 @@ def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
 
 @pytest.mark.slow
 def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
-    # A view of a tube in which (u, v) changes much more along one direction of a pixel than along the other (elongated
-    # footprints). The horizon cuts off some orders.
+    # In this view of a tube, the scattering vector (u, v) changes much more along one direction of a pixel than along
+    # the other (elongated footprints). Some diffraction orders are partly below the horizon of the surface.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]
@@ -303,8 +303,8 @@ def test_a_sky_of_any_proportions_keeps_the_power_of_a_bright_pixel(shape, monke
     height, width = shape
     solid = 2.0 * math.pi / width * np.diff(-np.cos(np.arange(height + 1) / height * math.pi))
     on_grid = np.diff(-np.cos(np.arange(513) / 512 * math.pi))[:, None, None] * 2.0 * math.pi / 1024
-    # Interpolation conserves the power approximately: the sum of its weights depends on the position of the pixel
-    # between the cells of the grid, by up to 1.2 % here.
+    # Interpolation of the sky's image on a grid conserves the power of a pixel only approximately. The sum of the
+    # weights depends on the position of the pixel between the cells of the grid, by up to 1.2 % here.
     row = height // 2 + height // 9
     for column in (0, *range(width // 4, width // 4 + 5), width - 1):
         sky = np.zeros((*shape, 3), dtype=np.float32)
@@ -392,6 +392,6 @@ def test_the_rays_of_a_pixel_share_its_samples(light, square):
     for samples in (1, 4, 64):
         image = wd.shade(square, flat, lights, view, **UNDER, samples_per_pixel=samples)
         spread.append(float(np.std(image.xyz[..., 1]) / image.xyz[..., 1].mean()))
-    # The more samples a disc light has, the less each sample is blurred. The noise may therefore increase, up to a
-    # factor of 2.
+    # The more random directions to a disc light are drawn, the less each of them is blurred. The noise may therefore
+    # increase, up to a factor of 2.
     assert max(spread[1:]) < 2.0 * spread[0]

@@ -59,7 +59,7 @@ def test_occluder_grids_are_kept_for_lights_that_do_not_move(fingers, monkeypatc
     """Occluder grids (grids of faces for shadow rays) must not be made again for the next picture if the lights do not
     move.
 
-    The picture has more lights than the mesh stores grids for. Therefore only the object that samples the lights (pass)
+    The picture has more lights than the mesh can store grids. Only the object that samples the lights (pass) therefore
     stores all grids.
     """
     made, make = [], occluder_grid._made

@@ -47,9 +47,9 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
 
 
 def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
-    """The change of (u, v) within a pixel (footprint) must include that of the direction to a near light.
+    """Footprints (changes of the scattering vector within a pixel) must include the changing direction to a near light.
 
-    In an orthographic view of a flat square, no other direction changes within a pixel.
+    In an orthographic view of a flat square, only the direction to the light changes within a pixel.
     """
     light = wd.PointLight((1.5, -1.0, 2.0))
     exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)

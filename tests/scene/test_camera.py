@@ -80,7 +80,7 @@ def test_invalid_extents_are_refused(extent_y):
 
 
 def shares(view, points):
-    """Return |x| and |y| of the images of points in the picture, shape (2, n); 1 is the edge of the picture."""
+    """Return the positions |x| and |y| at which points appear in the picture, shape (2, n); 1 is its edge."""
     frame = view.frame()
     rays = points - frame.origin
     depth = -rays @ frame.back
@@ -94,8 +94,8 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
     ball.apply_translation((5, 6, 7))
     view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
-    # The mesh is a ball. The sphere around its bounding box has √3 times the radius of the ball. The view must contain
-    # this sphere, which touches two edges of the picture: the two edges that are nearer to the picture's centre.
+    # The mesh is a ball. The sphere around its bounding box has √3 times the radius of the ball. The picture must
+    # contain this sphere. The sphere touches the two edges of the picture that are nearer to its centre.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
     assert 0.99 < largest.max() < 1.0
     expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back
@@ -121,8 +121,8 @@ def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
     places = np.stack([rays @ frame.right / depth / frame.half_width, rays @ frame.up / depth / frame.half_height])
     assert np.abs(places).max() == pytest.approx(0.92, abs=1e-6)
     if target is None:
-        # Without a target, the mesh is centred between two opposite edges of the picture. These are left and right, or
-        # top and bottom, whichever pair has the smaller distance from the mesh.
+        # Without a target, the mesh is centred between two opposite edges of the picture: the left and the right edge,
+        # or the top and the bottom edge if these are nearer to the mesh.
         limits = np.stack([-places.min(axis=1), places.max(axis=1)])
         assert limits.min(axis=0).max() == pytest.approx(0.92, abs=1e-6)
     else:
@@ -154,7 +154,7 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
         assert shares(moved, trimesh.transform_points(box.vertices, turned)).max() < 1.0
     view = View.fit(box, up=(0, 0, 2))
     np.testing.assert_allclose(view.frame().back, np.array([0, -1, 0.6]) / math.hypot(1, 0.6), atol=1e-12)
-    # The view does not depend on the colours and textures of the mesh, even if they are damaged.
+    # `View.fit` must ignore the colours and textures of the mesh, even if they are damaged.
     box.visual.face_colors = np.full((12, 3), 200)
     assert View.fit(box, turning=True) == centre
 

@@ -23,7 +23,7 @@ TURN = trimesh.transformations.rotation_matrix(0.4, (1.0, 2.0, 3.0))
 
 
 def plate(steps=7, *, uv=False):
-    """Return a square plate in the plane z = 0, with triangles of different sizes."""
+    """Return the mesh of a square plate in the plane z = 0, with triangles of different sizes."""
     sides = np.linspace(0.0, 1.0, steps) ** 1.3
     points = np.stack([*(axis.ravel() for axis in np.meshgrid(sides, sides, indexing="ij")), np.zeros(steps**2)], 1)
     corner = (np.arange(steps - 1)[:, None] * steps + np.arange(steps - 1)).ravel()
@@ -41,7 +41,7 @@ def open_cylinder(length):
 
 
 def blob(seed):
-    """Return a closed body of random shape."""
+    """Return the mesh of a closed body with a random smooth shape."""
     rng, body = np.random.default_rng(seed), trimesh.creation.icosphere(subdivisions=2)
     waves = rng.normal(size=(3, 3))
     size = 1.0 + 0.2 * np.sin(body.vertices @ waves.T * 2.0).sum(axis=1)
@@ -49,7 +49,7 @@ def blob(seed):
 
 
 def moved_along(vector, start_normal, end_normal):
-    """Return a tangential vector after the smallest rotation that moves one unit normal to another, by Rodrigues."""
+    """Return a tangential vector after the smallest rotation from one unit normal to another (Rodrigues' formula)."""
     axis = np.cross(start_normal, end_normal)
     sine, cosine = np.linalg.norm(axis), start_normal @ end_normal
     if sine < 1e-12:
@@ -59,7 +59,7 @@ def moved_along(vector, start_normal, end_normal):
 
 
 def edge_weights(vertices, faces):
-    """Return the cotangent weight of each edge, by the pair of the edge's vertices."""
+    """Return the cotangent weight of each mesh edge, by the indices of the edge's two vertices."""
     weights = {}
     for face in faces.tolist():
         for k in range(3):
@@ -72,9 +72,10 @@ def edge_weights(vertices, faces):
 
 
 def dense_problem(surface):
-    """Return the matrix of the smoothness energy of tangential vectors, the areas of vertices, and their bases.
+    """Return the matrix of the smoothness energy of a direction field, and the area and the basis of each vertex.
 
-    Each of the n vertices has two tangential unit vectors as a basis. The matrix has the shape (2n, 2n).
+    The energy is the sum of weighted squared differences between the vectors of neighbouring vertices. The basis of a
+    vertex is two tangential unit vectors. For n vertices, the matrix has the shape (2n, 2n).
     """
     vertices, normals = surface.vertices.astype(float), surface.normals.astype(float)
     count = len(vertices)
@@ -104,14 +105,14 @@ def test_the_smooth_field_is_the_least_eigenvector_of_a_dense_matrix(seed):
     eigenvalues, vectors = np.linalg.eigh(energy * scale[:, None] * scale)
     least = vectors[:, eigenvalues <= 1.02 * eigenvalues[0]] * scale[:, None]
     got = np.einsum("nij,nj->ni", bases, surface.tangents.astype(float))
-    # Each eigenvalue has two eigenvectors, of which one is the other after a rotation by 90°. The field must be a
-    # combination of the eigenvectors of the smallest eigenvalue, normalised at each vertex.
+    # Each eigenvalue has two eigenvectors: a direction field, and the same field rotated by 90°. The tested field must
+    # be a combination of the eigenvectors of the smallest eigenvalue, scaled to unit length at each vertex.
     lengths = np.linalg.norm((least @ np.linalg.lstsq(least, got.ravel(), rcond=None)[0]).reshape(-1, 2), axis=1)
     for _ in range(200):
         fitted = (least @ np.linalg.lstsq(least, (got * lengths[:, None]).ravel(), rcond=None)[0]).reshape(-1, 2)
         lengths = np.linalg.norm(fitted, axis=1)
     cosines = np.sum(fitted * got, axis=1) / lengths
-    # Directions are uncertain near singular points, where the length of the eigenvector is nearly zero.
+    # Directions are uncertain near singular points, where the eigenvector's value at a vertex is nearly zero.
     assert np.degrees(np.arccos(np.clip(cosines[lengths > 0.1 * lengths.max()].min(), -1.0, 1.0))) < 0.5
 
 
@@ -131,7 +132,7 @@ def test_the_smooth_field_of_a_cylinder_keeps_its_angle_to_the_axis(length):
 
 
 def singular_indices(surface):
-    """Return the index of a direction field in each face.
+    """Return the index (winding number) of a mesh's tangent field in each face.
 
     The index is the number of turns of the field along the border of the face, plus the curvature of the face in turns.
     """
@@ -218,7 +219,7 @@ def test_faces_perpendicular_to_the_axis_get_another_direction_with_a_warning():
 
 
 def test_a_face_whose_corners_all_lie_between_opposite_directions_gets_a_direction():
-    # Each corner of the first face has two further neighbours, whose directions are opposite to each other.
+    # Each corner of the first face has no direction, and two further neighbours with opposite directions.
     middle = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]])
     points = np.concatenate([middle, middle - [1, 1, 0], middle - [1, 2, 0]])
     body = trimesh.Trimesh(points, [[0, 1, 2], [0, 3, 6], [1, 4, 7], [2, 5, 8]], process=False)
@@ -254,7 +255,7 @@ def test_many_small_parts_have_their_own_fields_and_share_few_solves(monkeypatch
     smoothest = direction_fields._smoothest
     monkeypatch.setattr(direction_fields, "_smoothest", lambda *a: solves.append(1) or smoothest(*a))
     surface = prepare_surface(trimesh.util.concatenate(parts), tangents="smooth")
-    # Equal parts must share one solution. Separate solutions for all 3,041 parts would take half a minute.
+    # Parts of equal size must be solved together. To solve all 3,041 parts separately would take half a minute.
     assert len(solves) < 20
     alone = [prepare_surface(kind, tangents="smooth").tangents for kind in kinds]
     np.testing.assert_allclose(surface.tangents, np.concatenate([alone[kind] for kind in chosen]), atol=0.02)
@@ -287,7 +288,7 @@ def test_too_many_positions_are_refused(monkeypatch):
     monkeypatch.setattr(direction_fields, "MOST_POSITIONS", 48)
     with pytest.raises(ValueError, match="tangents='smooth' requires connected parts of at most 48 positions, got 49"):
         prepare_surface(plate(), tangents="smooth")
-    # The limit is for each connected part. Two parts may together have more positions.
+    # The limit of vertex positions applies to each connected part. Two parts together may have more positions.
     pair = trimesh.util.concatenate([plate(6), plate(6).apply_translation((3.0, 0.0, 0.0))])
     assert len(prepare_surface(pair, tangents="smooth").vertices) == 72
 

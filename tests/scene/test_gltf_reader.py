@@ -23,14 +23,14 @@ QUARTER = math.pi / 2
 
 
 def corners(surface, digits=4):
-    """Return the distinct rows of position, normal, tangent and texture coordinates at corners of faces, sorted."""
+    """Return position, normal, tangent and texture coordinates at corners of faces, one row per distinct corner."""
     world = surface.vertices * surface.radius + surface.centre
     rows = np.concatenate([world, surface.normals, surface.tangents, surface.uvs], axis=1)[surface.faces]
     return np.unique(np.round(rows.reshape(-1, 11), digits) + 0.0, axis=0)
 
 
 def interleaved():
-    """Return the square with all attributes in one buffer view."""
+    """Return a glTF file of a square with all vertex attributes in one buffer view."""
     file = GltfFile()
     data = np.concatenate([SQUARE, UP, SQUARE_UVS], axis=1).astype("<f4")
     view = file.view(data.tobytes(), stride=32)
@@ -40,7 +40,7 @@ def interleaved():
 
 
 def sparse():
-    """Return a file of the square: a sparse accessor (list of changed entries of an array) states two corners."""
+    """Return a glTF file of a square; a sparse accessor (list of changed elements of an array) states two corners."""
     file = GltfFile()
     position = file.accessor(np.where(np.arange(4)[:, None] % 2, SQUARE, 7).astype("<f4"))
     values = {"bufferView": file.view(SQUARE[[0, 2]].tobytes())}
@@ -51,7 +51,7 @@ def sparse():
 
 
 def sparse_without_data():
-    """Return a file of the square: a sparse accessor without data of its own states all corners but the first."""
+    """Return a glTF file of a square whose corners, except (0, 0, 0), are in a sparse accessor without a base array."""
     file = GltfFile()
     accessor = {"componentType": 5126, "count": 4, "type": "VEC3"}
     values = {"bufferView": file.view(SQUARE[1:].tobytes())}
@@ -63,7 +63,7 @@ def sparse_without_data():
 
 
 def integer_uvs(dtype):
-    """Return a file of the square with texture coordinates as normalised integers."""
+    """Return a glTF file of a square with texture coordinates as normalised integers."""
     file = GltfFile()
     whole = (SQUARE_UVS * np.iinfo(dtype).max).astype(dtype)
     file.primitive({"POSITION": SQUARE, "NORMAL": UP, "TEXCOORD_0": file.accessor(whole, normalized=True)})
@@ -71,7 +71,7 @@ def integer_uvs(dtype):
 
 
 def quantised(normalized):
-    """Return a file of the square with integer positions, which its node scales."""
+    """Return a glTF file of a square with integer positions, which the scale of its node converts to mesh units."""
     file = GltfFile()
     whole = (SQUARE * 127).astype("<i1")
     position = file.accessor(whole, normalized=True) if normalized else file.accessor((SQUARE * 1000).astype("<u2"))
@@ -83,14 +83,14 @@ def quantised(normalized):
 
 
 def changed(change):
-    """Return a file of the square after a change of its JSON."""
+    """Return a glTF file of a square, after the function ``change`` has changed its JSON."""
     file = square_file()
     change(file.tree)
     return file
 
 
 def moved(tree):
-    """Distribute the transform of the square over three nodes, one with a matrix and one with a quaternion."""
+    """Distribute the transform of a square over three nodes of a glTF file: a shift, a quaternion, and a matrix."""
     half = math.sqrt(0.5)
     tree["nodes"] = [
         {"children": [1], "translation": [5, 0, 0]},
@@ -100,7 +100,7 @@ def moved(tree):
 
 
 def instanced():
-    """Return a file in which the extension for instances places the square once."""
+    """Return a glTF file in which the extension EXT_mesh_gpu_instancing places one instance of a square."""
     file = square_file()
     attributes = {"TRANSLATION": file.accessor(np.array([[0, 0, 3]], "<f4"))}
     file.tree["nodes"][0] |= {
@@ -157,7 +157,7 @@ def test_instances_are_placed_by_translation_rotation_and_scale(tmp_path):
     np.testing.assert_allclose(world[4:8], [[5, 0, 0], [4, 0, 0], [4, -1, 0], [5, -1, 0]], atol=1e-5)
     np.testing.assert_allclose(world[8:], [[0, 5, 0], [2, 5, 0], [2, 3, 0], [0, 3, 0]], atol=1e-5)
     np.testing.assert_allclose(surface.tangents[[0, 4, 8]], [[1, 0, 0], [-1, 0, 0], [1, 0, 0]], atol=1e-6)
-    # A mirrored instance must have the same outside as the original. Only its texture is mirrored.
+    # The outer side of a mirrored instance must be the outer side of the original mesh. Only its texture is mirrored.
     np.testing.assert_allclose(surface.normals, UP[[0] * 12], atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, [1] * 8 + [-1] * 4)
     assert surface.geometry_names == ("mesh 0",)
@@ -215,7 +215,8 @@ def test_a_mesh_without_normals_is_flat(slope, tmp_path):
     surface = prepare_surface(file.write(tmp_path / "roof.gltf"))
     expected = np.repeat([[-slope, 0, 1], [slope, 0, 1]], 2, axis=0) / math.hypot(1.0, slope)
     np.testing.assert_allclose(surface.normals[surface.faces].transpose(1, 0, 2), [expected] * 3, atol=1e-6)
-    # The file's vertices are duplicated at corners. A vector for a vertex of the file must apply to all its duplicates.
+    # Vertices of the file are duplicated for each face. A tangent that is given for a vertex of the file must apply to
+    # all duplicates of the vertex.
     surface = prepare_surface(tmp_path / "roof.gltf", tangents=np.tile([1.0, 0, 0], (6, 1)))
     assert np.all(surface.tangents[:, 0] > 0.0)
 
@@ -367,7 +368,7 @@ def test_a_text_in_another_encoding_is_read(code, tmp_path):
 
 
 def draco_file():
-    """Return a file of the square with compressed positions and texture coordinates."""
+    """Return a glTF file of a square with positions and texture coordinates that are compressed by Draco."""
     file = square_file()
     (primitive,) = file.tree["meshes"][0]["primitives"]
     for index in (primitive["attributes"]["POSITION"], primitive["attributes"]["TEXCOORD_0"], primitive["indices"]):
@@ -397,7 +398,7 @@ def test_a_square_with_draco_compression_is_read(tmp_path):
 
 
 def with_value(place, value):
-    """Return a function that changes a value of the square's JSON, by the path to it."""
+    """Return a function that sets the value at a path in the JSON of a glTF file."""
 
     def change(tree):
         *parents, last = place
@@ -409,7 +410,7 @@ def with_value(place, value):
 
 
 def with_values(*values):
-    """Return a function that changes several values of the square's JSON, each with its path."""
+    """Return a function that sets several values in the JSON of a glTF file, each given with its path."""
 
     def change(tree):
         for place, value in values:

@@ -54,9 +54,9 @@ def test_textures_without_their_coordinates_are_named_and_roughness_counts_with_
     _, green, blue = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3).mean(axis=0) / 255.0
     np.testing.assert_allclose([read.metallic[0], read.roughness[0]], [0.5 * blue, green], rtol=1e-6)
     assert not read.emission.any()
-    # The texture of the material requires the set 3 of texture coordinates. The first part lacks this set: its factors
-    # are multiplied by the mean of the texture, and its emission is 0. A second part with this set is added. Its
-    # factors are those of the material.
+    # The material's texture requires the texture coordinates TEXCOORD_3. The first part of the mesh lacks them. Its
+    # metallic and roughness are multiplied by the mean of the texture, and its emission is 0. A second part with
+    # TEXCOORD_3 is added. Its metallic, roughness and emission are those of the material.
     attributes = {"POSITION": SQUARE + 2, "NORMAL": UP, "TEXCOORD_0": SQUARE_UVS, "TEXCOORD_3": SQUARE_UVS}
     file.primitive(attributes, material=0)
     with pytest.warns(WarpdiffWarning, match=names):
@@ -96,7 +96,7 @@ def mtl(folder, lines):
 
 
 def check(read, expected):
-    """Assert that factors are (metallic, roughness, emission), or that there are none."""
+    """Assert that material factors equal (metallic, roughness, emission), or are None if ``expected`` is None."""
     if expected is None:
         assert read is None
         return

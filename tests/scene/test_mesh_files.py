@@ -13,7 +13,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 
 
 def regular(count, inner=1.0):
-    """Return the corners of a polygon around the origin; every second corner is at the radius ``inner``."""
+    """Return a polygon around the origin: corners at the radius 1 alternate with corners at the radius ``inner``."""
     angle = 2.0 * np.pi * np.arange(count) / count
     radius = np.where(np.arange(count) % 2, 1.0, inner)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -40,7 +40,7 @@ def area_of(polygon):
 
 
 def rows(numbers):
-    """Return an array of numbers as text with one line per row."""
+    """Return a two-dimensional array of numbers as text, with one line per row of the array."""
     return "".join(f"{' '.join(map(str, row))}\n" for row in np.asarray(numbers).tolist())
 
 
@@ -98,7 +98,7 @@ def test_polygons_keep_their_area_from_every_first_corner(kind, name, tmp_path):
         corners = part.vertices[part.faces]
         cross = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         inside = np.abs(corners @ TILT)[:, :, 2].max(axis=1) < 1e-9
-        # All triangles must have normals on the same side, and must cover the polygon exactly once.
+        # The normals of all triangles must point to the same side, and the triangles must cover the polygon once.
         along = cross[inside] @ TILT[:, 2]
         assert np.all(along > -1e-9)
         assert along.sum() == pytest.approx(area_of(polygon), rel=1e-9)

@@ -37,7 +37,7 @@ def with_key(image, value):
     return image
 
 
-# Images with one row of two pixels in each mode, and the expected encoded RGBA of both pixels.
+# For each image mode of Pillow: an image of two pixels, and the expected sRGB-encoded RGBA of both pixels.
 MODES = {
     "1": (of([[0, 255]]).convert("1"), [[0, 0, 0, 1], [1, 1, 1, 1]]),
     "L": (of([[51, 255]]), [[0.2] * 3 + [1], [1] * 4]),

@@ -359,9 +359,9 @@ def folded(mesh):
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
 
-# Tangents at one position are joined if they differ by less than 30°. At a tip of a tube, all triangles meet at one
-# position. With 24 faces around, the tangents of a triangle and of the next but one differ by exactly 30°, and rounding
-# would decide whether they are joined. The tube therefore has 25 faces around.
+# Tangents of several vertices at one position are averaged if they differ by less than 30°. At a tip of the tube, all
+# triangles meet at one position. With 24 faces around the tube, tangents of some triangles would differ by exactly 30°,
+# and rounding errors would decide whether they are averaged. The tube therefore has 25 faces around its axis.
 @pytest.mark.parametrize(
     "mesh",
     [meshes.tube(segments_along=40, segments_around=25), folded(meshes.tube(segments_along=40, segments_around=25)),

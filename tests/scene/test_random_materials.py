@@ -22,9 +22,10 @@ TEXTURES = ("baseColorTexture", "metallicRoughnessTexture", "emissiveTexture")
 
 
 def random_material(rng, file):
-    """Add a random material to a file; return its factors, its textures, and whether it is a cut-out.
+    """Add a random material to a glTF file; return its factors, its textures, and whether its alpha mode is MASK.
 
-    Each texture is a pair: its texel (None if the image is missing), and the number of its set of texture coordinates.
+    A texture is returned as the colour of its image (None if the image is missing), and the n of the texture
+    coordinates TEXCOORD_n that it uses.
     """
     values = {name: rng.uniform(size=size or None) for name, size in FACTORS.items() if rng.random() < 0.7}
     textures = {}
@@ -52,9 +53,10 @@ def random_material(rng, file):
 
 
 def expected_of(material, sets, vertex_colour):
-    """Return the base colour or None, the visibility, metallic and roughness, and the emission of a part.
+    """Return the expected base colour (or None), visibility, metallic and roughness, and emission of a part of a scene.
 
-    The values follow from the rules of the format. ``sets`` are the numbers of the part's sets of texture coordinates.
+    The values follow from the rules of the glTF format. ``sets`` are the n of the part's texture coordinates
+    TEXCOORD_n.
     """
     values, textures, is_mask = material or ({}, {}, False)
     texel, number = textures.get("baseColorTexture", (None, 0))
@@ -106,7 +108,10 @@ def test_parts_have_the_values_of_their_own_materials(tmp_path, seed):
 
 
 def check(surface, parts, deviation):
-    """Check that the values at hits in the middle of each part are the expected values."""
+    """Check that rays to the middle of each part of a scene find the expected colour, metallic, roughness and emission.
+
+    ``deviation`` is the standard deviation of the filter of textures [pixels].
+    """
     middle = 0.6 * len(parts) - 0.1
     view = wd.View.orthographic(
         (middle, 0.5, 5), (middle, 0.5, 0), extent_y=1.2, width=12 * len(parts), height=12

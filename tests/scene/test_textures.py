@@ -19,7 +19,10 @@ from warpdiff.scene.textures import TextureImages
 
 
 def by_overlaps(lines, size):
-    """Return means of texels over ``size`` equal intervals of axis 0, weighted by overlap."""
+    """Return weighted means of texels over ``size`` equal intervals of axis 0.
+
+    The weight of a texel is its overlap with the interval.
+    """
     edges, whole = np.linspace(0.0, len(lines), size + 1), np.arange(len(lines))
     overlaps = np.minimum(edges[1:, None], whole + 1.0) - np.maximum(edges[:-1, None], whole)
     weights = np.clip(overlaps, 0.0, None) * size / len(lines)
@@ -41,7 +44,10 @@ def test_texels_of_a_level_are_means_over_their_areas(shape, rng):
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (6, 4)], ids=str)
 def test_products_are_means_over_texels_of_interpolated_images(shape, rng):
-    """The mean of a product of two images over each texel must equal the mean over 40 × 40 points of the texel."""
+    """``mean_products`` must return the means over texels of the product of two interpolated images.
+
+    The expected value for a texel is the mean of the product at 40 × 40 points of the texel.
+    """
     one, two = rng.uniform(size=(2, *shape)).astype(np.float32)
     points = 40
     height, width = shape
@@ -101,8 +107,8 @@ def test_a_product_with_a_colour_and_the_reductions_must_fit_into_memory(monkeyp
     with pytest.raises(MemoryError, match="the texture 'an image' of mesh times a colour, 256 × 256 pixels, requires"):
         images.texture(source, (0.5, 1.0, 1.0, 1.0))
     table_of([first], np.zeros(1, np.int32), "cpu")
-    # The pyramid has 16 · 4/3 bytes per texel of the image, and 13.3 further bytes are required while it is made. The
-    # free memory is slightly less than both together.
+    # An image with its reductions has 16 · 4/3 bytes per texel of the image. Another 13.3 bytes per texel are required
+    # while the reductions are made. The free memory is slightly less than both together.
     free = 65536 * 33.0
     with pytest.raises(MemoryError, match="the textures of mesh, 87381 texels with their reductions"):
         table_of([first], np.zeros(1, np.int32), "cpu")

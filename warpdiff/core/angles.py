@@ -68,7 +68,8 @@ def angles_deg(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
     theta = np.degrees(np.arctan2(sine, z))
     # Adding 0 turns −0 into 0. Without this, the azimuth of a direction towards −x could be −180° instead of 180°.
     phi = np.where(sine < _LEAST_SINE, 0.0, np.degrees(np.arctan2(y + 0.0, x + 0.0)) + 0.0)
-    # The angles are rounded, so that the angle of `direction(20)` is exactly 20° and can be searched for in tables.
+    # The angles are rounded, so that the angle of `direction(20)` is exactly 20°, and rows of a table with the angle 20
+    # can be found.
     return theta.round(_DECIMALS), phi.round(_DECIMALS)
 
 

@@ -47,8 +47,8 @@ class LruCache(Generic[_T]):
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # The key in the cache becomes the most recently used one. It is not replaced by the caller's key,
-                # although both are equal: the caller may modify its own key later.
+                # The key in the cache becomes the most recently used one. It is not replaced by the caller's equal key,
+                # because the caller may modify its own key object later.
                 self._values.move_to_end(key)
             return value
 

@@ -59,7 +59,7 @@ class Entry(NamedTuple):
 
 
 def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return arrays by name from the cache; if the cache does not contain them, make them and store them.
+    """Return arrays by name from the disk cache; if the cache does not contain them, make them and store them.
 
     Args:
         key: Object whose ``repr`` identifies the arrays, together with ``heights``.
@@ -164,13 +164,13 @@ def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
 
 
 def _checksum(file: BufferedRandom | BufferedReader, key: bytes) -> bytes:
-    """Return a checksum of the key and of the archive, which detects damaged files and files of another key."""
+    """Return a checksum of the key and of a cache file's archive. It detects damaged files and files of other keys."""
     file.seek(_CHECKSUM_BYTES)
     return hashlib.file_digest(file, lambda: hashlib.sha256(key)).digest()
 
 
 def entries(folder: Path) -> list[Entry]:
-    """Return the entries of the cache in a folder, the most recently used first."""
+    """Return the files of the cache in a folder, the most recently used first."""
     return sorted(_matching_files(folder, _NAME), reverse=True)
 
 

@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 # Maximum number of elements of an array. Kernels index arrays by int32; larger indices would overflow.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-# Limits of a control group that are at least this large mean "no limit" [bytes]. No machine has so much memory.
+# Memory limit of a Linux control group (container) from which on it means "no limit" [bytes]. No machine has so much
+# memory.
 _NO_LIMIT = 2**60
-# Pattern of the messages of failed allocations, by which a MemoryError of NumPy or a RuntimeError of Warp is
-# recognised.
+# Pattern of the messages of failed allocations. It recognises a MemoryError of NumPy, and a RuntimeError of Warp about
+# memory.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
-# Pattern of the lines of ``/proc/meminfo`` whose sum is the free memory [KiB].
+# Pattern of two lines of the Linux file ``/proc/meminfo``, whose numbers add up to the free memory [KiB].
 _FREE = re.compile(r"^(MemAvailable|SwapFree):\s*(\d+)", re.MULTILINE)
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 # Memory that is allocated at most while a synthetic height field is made [bytes per height sample], and while a mesh of

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import codecs
 
-# Number of bytes in which NUL bytes are counted, to recognise UTF-16 without a byte-order mark. Texts in scripts other
-# than Latin have few NUL bytes in UTF-16. Names and comments in such scripts are shorter than this number, so that the
-# numbers and keywords around them are counted, too.
+# Number of bytes at the start of a file in which NUL bytes are counted, to recognise UTF-16 without a byte-order mark.
+# Texts in scripts other than Latin have few NUL bytes in UTF-16. Names and comments in such scripts are shorter than
+# this number of bytes, so that the digits and Latin keywords around them are counted, too.
 _SAMPLE_BYTES = 4096
 # Smallest fraction of NUL bytes in UTF-16. Each Latin letter, digit and space has one NUL byte among its two bytes, so
 # that usual texts have a fraction of nearly one half.

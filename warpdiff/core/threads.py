@@ -125,7 +125,7 @@ def subprogress(progress: Callable[[float], None] | None, begin: float, end: flo
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
-    """Yield consecutive ranges that together are 0 to ``size``. Their lengths decrease from ``most`` to ``least``.
+    """Yield consecutive ranges that cover 0 to ``size`` − 1. Their lengths decrease from ``most`` to ``least``.
 
     With short ranges at the end, all threads finish at about the same time.
     """
@@ -155,7 +155,7 @@ forks.at_fork(after_in_child=_pool.cache_clear)
 
 
 # `_contexts` is the number of active contexts of `single_threaded_blas`. `_former` contains each library of linear
-# algebra, with the number of its threads before the first of these contexts.
+# algebra, with the number of threads that it used before the first of these contexts.
 _contexts = 0
 _former: dict[str, tuple[LibController, int]] = {}
 _lock = forks.lock()

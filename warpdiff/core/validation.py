@@ -84,7 +84,7 @@ def finite_array(
 
 
 def range_text(above: float | None, least: float | None, most: float | None) -> str:
-    """Return a range in words, such as ``"more than 0 and at most 0.5"``; an empty string if there are no bounds."""
+    """Return the accepted range of a number in words, such as ``"more than 0 and at most 0.5"``; empty if unbounded."""
     words = (("more than", above), ("at least", least), ("at most", most))
     numbers = (
         (word, bound if isinstance(bound, int) else f"{bound:g}")

@@ -11,8 +11,8 @@ from warpdiff.core.wording import WarpdiffWarning
 if TYPE_CHECKING:
     from types import FrameType
 
-# Stack frames of these packages are skipped in the search for the user's line of code. contextlib is one of these
-# packages, because it calls functions of this package that are used as decorators.
+# Packages whose stack frames are skipped in the search for the user's line of code, to which a warning refers:
+# warpdiff, and contextlib, which calls context managers of warpdiff that are used as decorators.
 _INNER = (__name__.partition(".")[0], "contextlib")
 
 

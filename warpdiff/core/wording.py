@@ -35,7 +35,7 @@ def ref(name: str, value: object = None) -> str:
 
 
 def python_word(name: str, value: str | None) -> str:
-    """Return an argument in Python notation: ``tolerance``, or ``method='auto'``."""
+    """Return the name of an argument, or name and value, in Python notation: ``tolerance`` or ``method='auto'``."""
     return name if value is None else f"{name}={value}"
 
 

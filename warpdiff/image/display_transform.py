@@ -61,7 +61,8 @@ _ROOTS_TO_LAB = np.array([
     [0.0259040371, 0.7827717662, -0.8086757660],
 ])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
-# Colour matrices, by their names in the shaders of web pages. A matrix multiplies a colour as a column vector.
+# Colour matrices that the shaders of web pages use, by their names in the shaders. A matrix multiplies a colour as a
+# column vector.
 MATRICES = {
     "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ, "rootsToLab": _ROOTS_TO_LAB,
     "labToRoots": _LAB_TO_ROOTS,
@@ -84,13 +85,13 @@ WHITE = 1024.0
 # RGB component up to which the grid points are nearly evenly spaced. Above it, the ratios of neighbouring grid points
 # are nearly equal.
 _NODES, TOE = 33, 0.01
-# Number of bisections that find the largest chroma of a colour in a gamut. After them, the interval is 2^-20 of the
-# first interval. The number was chosen so that this is less than a step of a 16-bit file.
+# Number of bisections that find the largest chroma of a colour in a gamut. They reduce the interval that contains this
+# chroma by a factor of 2^20. The number was chosen so that the rest is less than a step of a 16-bit file.
 _BISECTIONS = 20
 # Number of colours that one thread transforms at once. If it was doubled, small pictures would be transformed by fewer
 # threads.
 _TOGETHER = 8192
-# Divisors that may be 0 count as at least this number, which prevents a division by zero.
+# Divisors that may be 0 are replaced by this number if they are smaller, which prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -301,7 +302,7 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
         # The three cone responses of a grey have equal cube roots, the lightness L of the grey. ``slopes`` is the
-        # change of these roots per unit of chroma. A multiple of it is added to the roots.
+        # change of the three roots with the fraction of the colour's chroma that is added to the grey.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 

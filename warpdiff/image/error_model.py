@@ -36,9 +36,9 @@ _BOUND_OF_BOTH = 1.1
 # (docs/decisions/textures.md).
 _FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE = 0.01, 0.33
 
-# Model of the probability that the true error of a pixel exceeds the tolerance. `_ODDS_AT_TOLERANCE` are the odds if
-# the estimated error equals the tolerance. The odds are proportional to the ratio of estimated error to tolerance, to
-# the power `_ODDS_POWER`. Both values were fitted as the module's docstring describes.
+# Model of the probability that the true error of a pixel exceeds the tolerance. Its odds are `_ODDS_AT_TOLERANCE` · rᵖ.
+# Here r is the estimated error divided by the tolerance, and p is `_ODDS_POWER`. Both values were fitted as the
+# module's docstring describes.
 _ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 
 

@@ -64,8 +64,8 @@ class Image:
         layers: Further outputs by name, as requested from :func:`warpdiff.shade`, shape (height, width) or (height,
             width, components), at the hit of the ray through each pixel's centre. Names of layers of a single light end
             in the index of the light, as ``"light.0"``. ``docs/how-to/layers_and_exr_files.md`` lists all layers.
-        names: Names for layers of numbers, by the name of the layer: number i in the layer ``"geometry"`` stands for
-            the geometry ``names["geometry"][i]``.
+        names: Names of the objects for which numbers in layers stand, by the name of the layer: number i in the layer
+            ``"geometry"`` stands for the geometry ``names["geometry"][i]``.
         wavelengths_nm: Wavelengths of ``spectra`` [nm], shape (m,); None without spectra.
         spectra: Radiance at the wavelengths, shape (height, width, m), float32, multiplied by ``coverage``: the sum
             over the lights of power · ρ(λ) S(λ) / S̄, with the reflectance ρ, the illuminant S, and its mean S̄ with
@@ -224,7 +224,7 @@ class Image:
     def _behind(
         self, background: Image | ArrayLike | None, shown: DisplaySettings, factor: float, *, exact: bool
     ) -> NDArray[np.float64] | None:
-        """Return ``background`` in the linear light of the display, shape (3,) or (height, width, 3); None for None."""
+        """Return ``background`` in the display's linear light, shape (3,) or (height, width, 3); None if it is None."""
         if background is None:
             return None
         height, width = self.mask.shape

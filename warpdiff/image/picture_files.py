@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 # Channels of the first part of every EXR file.
 CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
-# Name of the metadata attribute of a layer of numbers. It lists, in JSON, the names for which the numbers stand.
+# Name of the metadata attribute of a layer whose values are numbers of geometries or materials. The attribute lists, in
+# JSON, the names for which the numbers stand.
 NAMES = "warpdiff:names"
 # Metadata of spectral EXR files in the layout of Fichet et al. 2021. The layout has no unit for relative radiances.
 SPECTRAL_METADATA = {
@@ -160,10 +161,10 @@ def _holds(source: Any, index: int, part: FilePart) -> bool:
 
 
 def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tuple[str, ...]]]:
-    """Return the channels of all parts of an EXR file of :meth:`warpdiff.Image.save`, and names for layers of numbers.
+    """Return the channels of all parts of an EXR file of :meth:`warpdiff.Image.save`, and names for its layers.
 
     The first mapping has channels of shape (height, width) by name. The second mapping has, by the name of a layer, the
-    names for which the numbers in the layer stand.
+    names of the geometries or materials for which the numbers in the layer stand.
     """
     with openimageio.in_use() as oiio:
         source = openimageio.opened(oiio, file, ("openexr",))
@@ -198,8 +199,8 @@ def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tupl
                 planes = np.ascontiguousarray(np.moveaxis(pixels, 2, 0))
                 channels |= dict(zip(spec.channelnames, planes, strict=True))
                 with contextlib.suppress(ValueError, TypeError):
-                    # If a file has no list of such names, or another text in its place, the numbers of the layer stay
-                    # without names.
+                    # The file may have no list of names of geometries or materials, or another text instead. The
+                    # numbers in the layer then stay without names.
                     known[spec.getattribute("oiio:subimagename")] = tuple(
                         map(str, json.loads(spec.getattribute(NAMES)))
                     )

@@ -114,9 +114,9 @@ def report_of(
         illuminated: Mask of the illuminated pixels, shape (height, width).
         edges: Mask of the pixels that contain an edge of the mesh or of a shadow, shape (height, width). None for a
             picture without refinement.
-        tolerance: As in :class:`Report`.
-        refined_share: As in :class:`Report`.
-        light_sample_count: As in :class:`Report`.
+        tolerance: Requested tolerance of the picture.
+        refined_share: Fraction of the covered pixels that were subdivided.
+        light_sample_count: Number of directions by which all lights together are represented.
     """
     visible = error[illuminated]
     median, percentile_99 = np.percentile(visible, (50.0, 99.0)).tolist() if visible.size else (0.0, 0.0)

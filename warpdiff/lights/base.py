@@ -89,11 +89,17 @@ class LightPart(ABC):
 
 
 class EmissionProfile(ABC):
-    """Factor of a light's power by the direction in which the light is emitted. Subclasses are frozen dataclasses."""
+    """Emission profile: the power of a light as a function of the direction of emission, as for a spotlight.
+
+    Subclasses are frozen dataclasses.
+    """
 
     @abstractmethod
     def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that fills ``samples.towards``: unit vectors to a lobe, and factors of its power."""
+        """Return the kernel call that computes the unit vector to a lobe, and the factor of its power, for each ray.
+
+        The kernel writes both to the array ``batch.samples.towards``. ``lobe`` is an index of the struct ``lights``.
+        """
 
 
 @dataclass(frozen=True, eq=False)

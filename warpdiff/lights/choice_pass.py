@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import RayBatch
     from warpdiff.tables.lookup import Lookups
 
-# Number of lights that each pixel chooses before it is subdivided. The resulting colours serve only to estimate the
-# luminance to which errors are relative, for which a few lights suffice. If the number is doubled, this estimate takes
-# twice as long.
+# Number of lights that each pixel chooses at random before the pixel is subdivided into cells. The resulting colours
+# serve only to estimate the luminance to which errors are relative, for which a few lights suffice. If the number is
+# doubled, this estimate takes twice as long.
 _FIRST_SAMPLES = 4
-# A light is chosen with a probability proportional to the brightness that is expected under it. This brightness is the
-# diffraction near the mirror direction, plus a constant that is the same for all directions. The constant is `_DIFFUSE`
-# without a pigment (base colour of the mesh), and `_DIFFUSE_OF_PIGMENT` with a pigment. For comparison, the mean of the
-# diffraction over all scattering vectors (u, v) is 0.08. Other values would change the noise of pictures, not their
-# mean.
+# A light is chosen with a probability proportional to the surface brightness that is expected under it. This brightness
+# is that of the diffracted light, plus a constant that is the same for all directions. The constant is `_DIFFUSE`
+# without a pigment (base colour of the mesh), and `_DIFFUSE_OF_PIGMENT` with a pigment. For comparison, the diffracted
+# brightness has a mean of 0.08 over all scattering vectors (u, v). Other values would change the noise of pictures, not
+# their mean.
 _DIFFUSE, _DIFFUSE_OF_PIGMENT = 0.002, 0.08
 
 
@@ -47,7 +47,7 @@ class ChoicePass(LobePass):
         return range(self.lobe_count, self.lobe_count + _FIRST_SAMPLES)
 
     def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of lights that are not refined)
-        """Return the index of the only sample of a subpixel cell: the ray of each cell chooses one light."""
+        """Return the index of the only sample of a subpixel cell. A sample is a light that the cell's ray chooses."""
         return range(self.lobe_count, self.lobe_count + 1)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)

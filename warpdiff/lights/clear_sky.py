@@ -28,8 +28,8 @@ _SUN_KLX, _EXTINCTION, _SKY_KLX, _SKY_KLX_OF_SINE = 127.5, 0.21, 0.8, 15.5
 # Standard deviation of the sun's directions along one axis [rad]. It is that of a uniform disc with the sun's diameter
 # of 0.53°: a quarter of the diameter.
 SUN_DEVIATION = math.radians(0.53) / 4.0
-# Largest angle between a pixel and the sun at which the pixel gets a part of the sun's power [rad]. With 3.5 rows of
-# the image, pixels farther away would get less than 1e-5 of the power.
+# Largest angle between the sun and a pixel of the sky's image at which the pixel gets a part of the sun's power [rad].
+# It is the height of 3.5 rows of the image. Pixels farther away would get less than 1e-5 of the power.
 _SUN_REACH = 3.5 * math.pi / ROWS
 # Colour temperatures of CIE daylight [K]: light of a blue sky, and light of the sun behind the atmosphere.
 _SKY_K, _SUN_K = 15_000.0, 5_500.0

@@ -96,9 +96,9 @@ class DiscPass(LobePass):
         return [*draws, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting, lobe)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints (changes of (u, v) over the pixel filter) under a lobe.
+        """Return kernel calls that compute footprints: changes of the scattering vector (u, v) over the pixel filter.
 
-        They are widened by the extent of the Gaussian source that one sample represents.
+        Footprints are widened by the extent of the Gaussian source that one sample of the disc represents.
         """
         if lobe == self.lobe_count:
             return super().footprint_calls(0, batch)

@@ -19,20 +19,23 @@ if TYPE_CHECKING:
 
 
 class EmissionPass(LightPass):
-    """Pass of the light that plain surfaces emit.
+    """Pass of the light that plain surfaces (surfaces without a height field) emit.
 
     An emission of 1 has the luminance of a white matte surface that faces the brightest light of the picture.
     """
 
     def __init__(self, context: PassContext, plain: PlainFaces, brightness: float) -> None:
-        """Make the pass for the plain faces of a picture. ``brightness`` is the luminance of an emission of 1."""
+        """Make the pass for faces without a height field. ``brightness`` is the luminance of an emission of 1."""
         super().__init__(context, [[]])
         self._plain, self._luminance = plain, brightness
         self._brightness = wp.empty(1, dtype=wp.float32, device=context.device)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Type of the pass, as the key of a recorded CUDA graph. The luminance is in an array, which may change."""
+        """Type of this pass, as a part of the key of a recorded CUDA graph.
+
+        The luminance of an emission of 1 is no part of the key, because recorded launches read it from an array.
+        """
         return (type(self),)
 
     def begin(self, previous: LightPass | None) -> None:
@@ -42,7 +45,7 @@ class EmissionPass(LightPass):
         self._brightness.fill_(self._luminance)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (one lobe)
-        """Return the kernel call that adds the emitted light."""
+        """Return the kernel call that adds the light that surfaces emit to the colours of a batch of rays."""
         inputs = [
             batch.gbuffer.pixels, self._plain.struct, self._brightness, self._lights.rgb_to_xyz, counting.weight,
             counting.resets,

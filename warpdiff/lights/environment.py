@@ -51,8 +51,9 @@ _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Largest linear factor of the sun of a clear sky. The value was chosen so that the sun's radiance remains below the
 # largest radiance.
 _MOST_SUN = 1e3
-# An environment caches its sky and suns for pairs of a coherence window and a number of directions. This is the largest
-# number of cached pairs. The value is limited by memory: one pair uses 6 MB on the host and 7 MB on the device.
+# An environment caches its sky and suns for each coherence window and number of directions with which it is used. This
+# is the largest number of cached versions. It is limited by memory: a version uses 6 MB on the host and 7 MB on the
+# device.
 _MOST_PARTS = 4
 
 
@@ -300,10 +301,12 @@ class SkyPart(LightPart):
 
 
 def _make_parts(environment: Environment, sigma_um: float, directions: int) -> tuple[LightPart, ...]:
-    """Return the sky and the suns as parts of a light, with powers for a window of the standard deviation ``sigma_um``.
+    """Return the sky and the suns as parts of a light, with powers for a coherence window.
+
+    ``sigma_um`` is the standard deviation of the window, written σ here, and λ is the wavelength.
 
     Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ², because 4πσ²/λ² converts the relative reflectance ρ to
-    an absolute BRDF. The spectrum L/λ² is therefore used in the same way as the illuminant of a directional light.
+    an absolute BRDF. The spectrum L/λ² is therefore used like the illuminant of a directional light.
     Spectra of RGB colours under D65 are sums of basis functions (Mallett and Yuksel, Spectral Primary Decomposition for
     Rendering with sRGB Reflectance, 2019).
     """

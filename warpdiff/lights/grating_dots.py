@@ -67,7 +67,11 @@ class DotSamples:
 
     @classmethod
     def allocate(cls, rays: int, *, means: bool, device: wp.Device) -> DotSamples:
-        """Return uninitialised arrays for a number of rays. Without ``means``, the array of footprints is empty."""
+        """Return uninitialised arrays for a number of rays.
+
+        If ``means`` is False, pixels show points instead of means over footprints, and the array of footprints is
+        empty.
+        """
         return cls(
             wp.empty(rays, dtype=wp.vec3d, device=device), wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * means, dtype=Footprint, device=device), wp.empty(rays, dtype=wp.int32, device=device),
@@ -76,10 +80,10 @@ class DotSamples:
 
 
 def material_of_dots(material: Material | None, grating_map: GratingMap | None) -> Material | None:
-    """Return the material whose reflectance the look-ups of a surface's colours include.
+    """Return the material whose reflectance is included in the looked-up colours of a surface with a grating map.
 
-    If depths or pitches differ between dots, look-ups use scaled scattering vectors, which have other angles than the
-    light and the viewer. The look-ups then require a reflectance that does not depend on the angle.
+    If depths or pitches differ between the dots of the map, look-ups use scaled scattering vectors, which have other
+    angles than the light and the viewer. The included reflectance must then not depend on the angle.
     """
     if material is None or grating_map is None or grating_map.has_one_shape:
         return material
@@ -118,7 +122,7 @@ class GratingDots:
         return cls(by_surface, surface_of_faces, rays)
 
     def has_map(self, surface: int) -> bool:
-        """Whether a surface has a map."""
+        """Whether the surface with the index ``surface`` has a grating map."""
         return surface in self._transforms
 
     def scaled_gains(
@@ -126,8 +130,8 @@ class GratingDots:
     ) -> tuple[wp.array, list[KernelCall]]:
         """Return the factors (gains) by which looked-up colours of a material are multiplied, and their kernel calls.
 
-        If the look-up uses a reflectance that does not depend on the angle, the gains are multiplied by this
-        dependence.
+        If looked-up colours include a reflectance that does not depend on the angle, the gains are multiplied by the
+        reflectance at the angle, divided by the included one.
         """
         if not isinstance(material, FixedReflectance):
             return gains, []
@@ -145,7 +149,7 @@ class GratingDots:
         In the frame of a dot, the dot's rotation and scaling of the height field are undone.
 
         Args:
-            surface: Index of a surface with a map.
+            surface: Index of a surface with a grating map.
             gbuffer: Hits of the rays.
             samples: Samples in the frames of the hits.
             of_dots: Arrays for the result.
@@ -162,7 +166,7 @@ class GratingDots:
         return result, [self._find(surface, gbuffer, of_dots, level), transform]
 
     def _find(self, surface: int, gbuffer: GBuffer, of_dots: DotSamples, level: int) -> KernelCall:
-        """Return the kernel call that finds the dot of each hit on a surface."""
+        """Return the kernel call that finds the dot of the grating map at each hit on a surface."""
         inputs = [self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface], 1 << level]
         return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots], in_runs=True)
 

@@ -65,7 +65,7 @@ class PassContext:
         self, rays: CameraRays, surfaces: Sequence[SurfaceOptics], unit: PictureUnit | None,
         finish_of_faces: NDArray[np.int32] | None, *, refines: bool,
     ) -> None:  # fmt: skip
-        """Fill the structs of the kernels.
+        """Fill the structs that kernels read.
 
         ``finish_of_faces`` is None if all faces have the same finish (surface and material). If ``unit`` is None,
         colours are relative to a perfect mirror under the coherence of the first surface.
@@ -102,7 +102,7 @@ class PassContext:
         return wp.array(np.asarray(values), dtype=dtype, device=self._device)
 
     def _plain_faces(self, finish_of_faces: NDArray[np.int32] | None) -> PlainFaces | None:
-        """Return the materials of plain surfaces; None if all are matte and emit no light."""
+        """Return the materials of surfaces without a height field; None if all are matte and emit no light."""
         is_plain = np.array([self.surfaces[finish.surface].is_plain for finish in self.finishes])
         if finish_of_faces is None or not is_plain.any():
             return None
@@ -110,7 +110,7 @@ class PassContext:
         return plain_faces(self.rays.surface, is_plain[finish_of_faces], white, self._device)
 
     def _reflection(self) -> light_samples.Reflection:
-        """Return the struct ``Reflection`` of the kernels, with one array entry per pair of surface and material."""
+        """Return the struct ``Reflection`` of the kernels, with one array entry for each material on each surface."""
         optics = [self.surfaces[finish.surface] for finish in self.finishes]
         reflection = light_samples.Reflection()
         reflection.finishes = self.finish_of_faces
@@ -166,7 +166,7 @@ class PassContext:
         return np.asarray(self.finish_of_faces.numpy()[np.maximum(faces, 0)])
 
     def gains_on(self, surface: int, gains: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the geometry factors of all rays (factors of their colours), with 0 at hits of other surfaces."""
+        """Return the geometry factors of all rays (factors of their colours), with 0 for hits on other surfaces."""
         finishes = self.finishes_of_hits()
         if finishes is None or len(self.surfaces) == 1:
             return gains
@@ -193,14 +193,14 @@ class LightSamples:
 
     Attributes:
         occluded: Whether the mesh occludes the lobe at each hit, (n,).
-        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
+        scattering_vectors: Scattering vectors (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. For a sky, they are 1 at hits.
         spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); the shape is (0, 0) unless each
             ray has its own direction to the light.
         towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
             empty unless directions are drawn at random or a light has an emission profile.
-        footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
+        footprints: Changes of (u, v) over the filter of each ray, (n,); empty if pixels show points.
         finish_gains: Geometry factors at faces with the finish (surface and material) that is evaluated, and 0 at other
             faces, (n,); empty for a single finish.
         of_dots: Samples in the frames of dots; None without a grating map.
@@ -220,7 +220,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, has_dots: bool, device: wp.Device
     ) -> LightSamples:
-        """Return uninitialised arrays for a number of rays. Without ``means``, the array of footprints is empty."""
+        """Return uninitialised arrays for a number of rays. If ``means`` is False, the array of footprints is empty."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -331,7 +331,7 @@ class LightPass(ABC):
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
 
     def of_surface(self, surface: int) -> tuple[tuple[IlluminatedMaterial, ...], ...]:
-        """Return pairs of an illuminant and a material of the first lobe on a surface, by material and spectrum."""
+        """Return the illuminants of the first lobe with the materials of a surface, by material and spectrum."""
         return tuple(
             spectra
             for finish, spectra in zip(self.context.finishes, self.illuminated[0], strict=True)
@@ -456,11 +456,11 @@ class LightPass(ABC):
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:
-        """Return the array that marks hits in the shadow of the last lobe; it is empty if nothing casts shadows."""
+        """Return the array that marks hits where the mesh occludes the current lobe; empty if nothing casts shadows."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that computes footprints: changes of (u, v) over the filter of each ray."""
+        """Return the kernel call that computes the change of the scattering vector (u, v) over the filter of a ray."""
         rays, samples = self.context.rays, batch.samples
         inputs = [rays.camera, rays.scene.bare, batch.gbuffer.pixels, samples.scattering_vectors, batch.deviation]
         return KernelCall(light_samples.pixel_footprints, inputs, [samples.footprints], in_runs=True)

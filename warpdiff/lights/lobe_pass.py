@@ -76,8 +76,8 @@ class LobePass(LightPass):
     def _grid_key(self) -> tuple[Hashable, ...]:
         """Values on which the occluder grids depend. A grid lists the faces that may block light from one direction.
 
-        A disc has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction is
-        that of another lobe.
+        A disc light has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction
+        is that of another lobe.
         """
         lobes = self.part.lobes
         return type(self), *((lobe.to_light, lobe.position is None, lobe.profile is None) for lobe in lobes)
@@ -154,7 +154,7 @@ class LobePass(LightPass):
     ) -> list[KernelCall]:
         """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe.
 
-        They also add the light that plain surfaces reflect.
+        They also add the light that surfaces without a height field reflect.
 
         Args:
             towards: Direction to the light for each ray; if it is empty, all rays use the direction of the light.
@@ -194,9 +194,10 @@ class LobePass(LightPass):
         return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: changes of (u, v) over the pixel filter and the light's extent.
+        """Return kernel calls that compute footprints (changes of the scattering vector (u, v) within a pixel).
 
-        The changes for a point light include those of the direction to the light across a pixel.
+        They include the pixel filter and the extent of the light. For a point light, they also include the change of
+        the direction to the light.
         """
         rays, pixels, source = self.context.rays, batch.gbuffer.pixels, self.part.lobes[lobe]
         kernels: list[tuple[wp.Kernel, list[Any]]] = []

@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.mesh_import import Surface
 
-# Smallest α of a plain surface. The value is limited by directions in float32, with which narrower highlights cannot be
-# computed. It corresponds to a perceptual roughness of 0.045, the smallest roughness in common renderers of glTF.
+# Smallest roughness parameter α (GGX) of a surface without a height field. The value is limited by directions in
+# float32, with which narrower highlights cannot be computed. It corresponds to a perceptual roughness of 0.045, the
+# smallest roughness in common renderers of glTF.
 _LEAST_ALPHA = 0.002
 
 
 @dataclass(frozen=True)
 class PlainFaces:
-    """Materials of the plain faces of a mesh.
+    """Materials of the plain faces (faces without a height field) of a mesh.
 
     Attributes:
         struct: The struct ``PlainMaterials`` of the kernels.
@@ -40,27 +41,27 @@ class PlainFaces:
 
     @property
     def has_glossy_faces(self) -> bool:
-        """Whether any face is plain and has a roughness."""
+        """Whether any face without a height field has a roughness, so that it is not matte."""
         return bool(self.is_glossy.any())
 
 
 def plain_faces(
     mesh: Surface, is_plain: NDArray[np.bool_], white_luminance: float, device: wp.Device
 ) -> PlainFaces | None:
-    """Return the materials of plain faces; None if all are matte and emit no light.
+    """Return the materials of plain faces (faces without a height field); None if all are matte and emit no light.
 
     Args:
         mesh: The prepared mesh.
         is_plain: Whether each face is plain, shape (m,).
         white_luminance: Luminance of a white matte surface that faces a light under which a mirror has the luminance 1.
-            The α of a smooth surface is increased until the luminance of its highlight is at most 1, too.
+            The GGX roughness α of a smooth surface is increased until its highlight has a luminance of at most 1, too.
         device: The Warp device.
     """
     factors = mesh.material_factors
     if factors is None:
         return None
     count = len(factors.roughness)
-    # Faces without a material use the last row, which is that of a matte material without emission.
+    # Faces without a material use the last row of the arrays, which is that of a matte material without emission.
     rows = np.where(is_plain & (mesh.rows >= 0), mesh.rows, count)
     roughness, emission = np.append(factors.roughness, -1.0), np.append(factors.emission, [[0.0] * 3], axis=0)
     is_glossy, emits = roughness[rows] >= 0.0, bool(np.any(emission[np.unique(rows)] > 0.0))

@@ -27,26 +27,27 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
-# Grid of (u, v) on which directions are drawn by the surface's colours. `_RINGS_PER_OCTAVE` is the number of rings per
-# octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
-# without rings. Its unit is the standard deviation of the peak of a diffraction order over (u, v). Other values would
-# change only the noise.
+# Polar grid of scattering vectors (u, v), from which directions to the sky are drawn by the surface's colours. A ring
+# of the grid is a circle of constant |(u, v)|. `_RINGS_PER_OCTAVE` is the number of rings per octave of |(u, v)|, and
+# `_FARTHEST` the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle without rings. Its unit is the
+# standard deviation of the peak of a diffraction order over (u, v). Other values would change only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Limits of the azimuth samples on a ring. `_SPOKES_APART` is the distance of neighbouring samples, in standard
-# deviations of the peak of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest
-# number of samples per ring. The largest number was chosen by the errors of pictures: with at most 64 samples per ring,
-# the errors are 1.5 times as large (docs/decisions/environments.md).
+# Limits of the azimuth samples on a ring (circle of constant |(u, v)|). `_SPOKES_APART` is the distance of neighbouring
+# samples, in standard deviations of the peak of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the
+# smallest and the largest number of samples per ring. The largest number was chosen by the errors of pictures: with at
+# most 64 samples per ring, the errors are 1.5 times as large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
-# Values of |w| = cos θi + cos θr at which colours of the surface are looked up. θi and θr are the angles of light and
-# view from the normal. The mean of the colours over these |w| determines the probability of a direction. The values
-# were chosen freely: they change only the noise of pictures.
+# Normal components |w| = cos θi + cos θr of the scattering vectors at which colours of the surface are looked up. θi
+# and θr are the angles of light and view from the normal. The mean of the colours over these |w| determines the
+# probability of a direction. The values were chosen freely: they change only the noise of pictures.
 _WS = (0.8, 1.3, 1.8)
-# The colour at each sample of the grid is a mean over (u, v) with a Gaussian weight, the footprint. This is the
-# standard deviation of the weight, relative to the distance of samples. Larger values would blur the distribution.
+# The colour at each sample of the grid of scattering vectors (u, v) is a mean over (u, v) with a Gaussian weight. This
+# is the standard deviation of the weight, relative to the distance of neighbouring samples. Larger values would blur
+# the distribution of directions.
 _WIDTH = 0.4
 # Fraction of the probability that is distributed evenly, both over the azimuths of a ring (circle of constant |(u, v)|)
-# and over all rings. It is necessary because a point (u, v) that is dark at the few tabulated |w| may be bright at
-# another |w|. Such a point must have a chance to be drawn.
+# and over all rings. It is necessary because a surface that is dark at (u, v) and the few |w| in `_WS` may be bright at
+# another |w| of the scattering vector (u, v, w). Such a direction must have a chance to be drawn.
 _EVEN_SHARE = 0.05
 # Number of grid cells per side of a block of the sky's latitude-longitude grid. All cells of a block have the same
 # probability per solid angle. The value is limited by memory and by the time of drawing a direction, which are larger
@@ -66,9 +67,10 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
 def lookup_for_skies(lookup: ColourLookup | None) -> ColourLookup | None:
     """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
-    For directional lights, the same picture may require a table with up to eight times as many rings. A sky has three
-    spectra, and each spectrum requires a table of its own. Three such large tables would take too much memory and time.
-    The smaller table suffices, because errors in single directions partly cancel in the sum over a sky.
+    For directional lights, the same picture may require a colour table with up to eight times as many rings (circles of
+    constant |(u, v)|). A sky has three spectra, and each spectrum requires a table of its own. Three large tables would
+    take too much memory and time. The smaller table suffices, because errors in single directions partly cancel in the
+    sum over a sky.
     """
     if lookup is None:
         return None
@@ -91,8 +93,9 @@ def distribution_for(
 
     Args:
         lookup: Look-up of the surface's colours; None for a surface without a height field.
-        illuminated: Pairs of an illuminant and a material, by material and spectrum.
-        blocks: Cumulative probabilities and densities of the blocks of the sky, as :func:`upload_sky` returns them.
+        illuminated: Spectra of the sky together with the materials that they illuminate, by material and spectrum.
+        blocks: Cumulative probabilities, and probabilities per solid angle, of the sky's blocks (squares of grid
+            cells), as :func:`upload_sky` returns them.
         sky_share: Fraction of the samples that are drawn by the brightness of the sky.
     """
     result = surface_distribution(lookup, illuminated, blocks[0].device)
@@ -116,7 +119,8 @@ def surface_distribution(
 ) -> sky_samples.SkyDistribution:
     """Return the struct of :func:`distribution_for` for the surface alone; the fields about the sky are empty.
 
-    For a surface without a height field, (u, v) is drawn evenly from a disc that contains all values of (u, v).
+    For a surface without a height field, the scattering vector (u, v) is drawn uniformly from a disc that contains all
+    values of (u, v).
     """
     result = sky_samples.SkyDistribution()
     if lookup is None:
@@ -131,7 +135,10 @@ def surface_distribution(
 
 @functools.cache
 def _of_plain_surface(device: str) -> tuple[wp.array | float, ...]:
-    """Return the distribution for a surface without a height field: one disc, in which (u, v) is drawn evenly."""
+    """Return the distribution for a surface without a height field.
+
+    It is uniform over a disc that contains all scattering vectors (u, v).
+    """
     ones = wp.full(1, 1.0, dtype=wp.float32, device=device)
     densities = wp.full(1, 1.0 / (math.pi * _FARTHEST**2), dtype=wp.float32, device=device)
     return ones, wp.array([0, 1], dtype=wp.int32, device=device), ones, densities, math.log(_FARTHEST), 1.0
@@ -140,7 +147,10 @@ def _of_plain_surface(device: str) -> tuple[wp.array | float, ...]:
 def _of_surface(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
 ) -> tuple[wp.array | float, ...]:
-    """Return the distribution for the surface alone: probabilities over rings and azimuths of (u, v)."""
+    """Return the probabilities with which scattering vectors (u, v) are drawn, by the colours of the surface alone.
+
+    The probabilities are stored by rings (circles of constant |(u, v)|), and by azimuths on each ring.
+    """
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     least = _DISC_RADIUS * lobe_uv
     per_log = _RINGS_PER_OCTAVE / math.log(2.0)
@@ -156,7 +166,7 @@ def _of_surface(
     across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
     footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
     bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
-    # The power of an azimuth sample is the X + Y + Z of its colour times the area in (u, v) that it represents.
+    # The power of a sample of the grid is the X + Y + Z of its colour, times the area in (u, v) that it represents.
     area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
     means = np.add.reduceat(bright, starts[:-1]) / spokes
     power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area
@@ -176,9 +186,10 @@ def _luminances(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
     footprints: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return X + Y + Z of the surface at n points (u, v), shape (n,): means over a few |w|, summed over materials.
+    """Return the sum X + Y + Z of the light that a surface scatters, for n scattering vectors (u, v, w), shape (n,).
 
-    The spectra of the light are summed, too.
+    ``places`` are (u, v). The result is a mean over the |w| in `_WS`, and a sum over materials and spectra of the
+    light.
     """
     device, count = lookup.device, len(places)
     vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
@@ -197,7 +208,7 @@ def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     """Return the distribution from which directions are drawn by the brightness of a sky.
 
     A block is a square of cells of the sky's grid. The arrays have the cumulative probability of rows of blocks, the
-    cumulative probability of blocks within each row, and the density of each block.
+    cumulative probability of blocks within each row, and the probability per solid angle of each block.
     """
     bright = grid.powers.sum(axis=2)
     # Kernels interpolate the sky between the centres of cells, so that a bright cell brightens its neighbours. A

@@ -43,7 +43,7 @@ class SkyGrid:
     """Powers of a sky on a latitude-longitude grid, for one rotation, scale and coherence window (Gaussian area).
 
     Attributes:
-        spectra: Three illuminants, which add up to any colour.
+        spectra: Three illuminants, whose weighted sums have any colour.
         powers: Power per solid angle of each of the three spectra, in the directions of :func:`grid_directions`.
         turn: Rotation about +y [rad].
         directions: Number of random directions per pixel in pictures with ``refine=False``.
@@ -58,7 +58,10 @@ class SkyGrid:
 
 
 def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """Return the values of a latitude-longitude grid in the directions ``along``, by bilinear interpolation."""
+    """Return the values of a latitude-longitude grid in the directions ``along``, by bilinear interpolation.
+
+    ``turn`` is the rotation of the grid about +y [rad].
+    """
     height, width = grid.shape[:2]
     polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
     row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
@@ -66,7 +69,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
     top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
     down, right = (row - top)[..., None], (column - left)[..., None]
     left, next_left = left % width, (left + 1) % width
-    # NumPy's function take with flat indices takes a fifth of the time of indexing by a pair of arrays.
+    # NumPy's function ``take`` on the flattened grid takes a fifth of the time of indexing by rows and columns.
     flat, top = grid.reshape(height * width, -1), top * width
     upper = (1.0 - right) * np.take(flat, top + left, axis=0) + right * np.take(flat, top + next_left, axis=0)
     top += width
@@ -75,7 +78,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """Return the radiance of a sky on the grid without its suns, and the suns, which become separate lights."""
+    """Return the radiance of a sky without its suns on the latitude-longitude grid, and the suns as separate lights."""
     grid = _on_grid(radiance)
     height, width = radiance.shape[:2]
     sun_extent = max(_SUN_REACH, _SUN_PIXELS * max(math.pi / height, 2.0 * math.pi / width))
@@ -92,7 +95,7 @@ def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], li
 
 
 def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[np.float64]] | None:
-    """Return the brightest sun of a sky, and the sky without it; None if no spot is small and bright enough."""
+    """Return the brightest sun of a sky, and the sky without it; None if the brightest spot does not count as a sun."""
     height, width = grid.shape[:2]
     bright = grid @ colorimetry.RGB_TO_XYZ[1]
     solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
@@ -126,7 +129,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
 
 
 def grid_directions() -> NDArray[np.float64]:
-    """Return unit vectors to the centres of the grid's cells, shape (ROWS, 2 ROWS, 3)."""
+    """Return unit vectors to the centres of the latitude-longitude grid's cells, shape (ROWS, 2 ROWS, 3)."""
     polar = (np.arange(ROWS) + 0.5) / ROWS * math.pi
     azimuth = ((np.arange(2 * ROWS) + 0.5) / ROWS - 1.0) * math.pi
     level = np.sin(polar)[:, None]

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 # of the surface. With a pigment the fraction is larger, because a pigment reflects light from all directions. Other
 # values would change only the noise.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
-# Number of directions per pixel before pixels are subdivided. The resulting colours serve only to estimate the
-# luminance to which errors are relative, for which a few directions suffice.
+# Number of directions to the sky that are drawn per pixel before pixels are subdivided. The resulting colours serve
+# only to estimate the luminance to which errors are relative, for which a few directions suffice.
 _FIRST_SAMPLES = 4
 
 

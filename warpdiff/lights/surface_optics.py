@@ -59,7 +59,7 @@ class PictureUnit(NamedTuple):
     """Light that a perfect mirror would show in a picture; the colours of the picture are relative to this light.
 
     Attributes:
-        coherence: Coherence of the unit.
+        coherence: Coherence (limit of interference) of the mirror's light.
         area_um2: Area of the height field [µm²]; it has an effect only if the coherence is a number of periods that
             interfere.
     """
@@ -69,7 +69,7 @@ class PictureUnit(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """Finish of a face: its surface in the picture, its material, and the material that colour look-ups include."""
+    """Finish of a face: index of its surface, its material, and the material that is included in looked-up colours."""
 
     surface: int
     material: Material | None

@@ -39,7 +39,10 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return sums of zero for a number of pixels. Without ``means``, the arrays of errors and edges are empty."""
+        """Return sums of zero for a number of pixels.
+
+        If ``means`` is False, pixels show points instead of means, and the arrays of errors and edges are empty.
+        """
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)

@@ -32,8 +32,8 @@ class DeviceTiles:
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
-            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if its error requires subdivision; ``SHARED`` if the pixel and its eight
+            neighbours are subdivided only because of marked pixels near them; otherwise 0.
     """
 
     def __init__(self, light: LightRefinement) -> None:
@@ -80,7 +80,7 @@ class DeviceTiles:
         """Do nothing: tiles are stored only for previews (at larger tolerances), which are not rendered on a GPU."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute the smallest divisor of relative errors from a histogram of luminances."""
+        """Begin the refinement under a light: compute the smallest divisor of relative errors by a histogram."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])
         inputs, outputs = [self._histogram], [self.floor]
@@ -88,7 +88,7 @@ class DeviceTiles:
         self._marked_count.zero_()
 
     def end(self, light: LightRefinement) -> None:
-        """Finish a light: set :attr:`count` to the largest number of subdivided pixels under one light so far."""
+        """Finish the refinement under a light: update :attr:`count`, the largest number of subdivided pixels so far."""
         inputs = [self._marked_count, light.is_first]
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 

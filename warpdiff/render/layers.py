@@ -27,7 +27,7 @@ LIGHT = "light"
 
 
 def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[LightPart]) -> tuple[str, ...]:
-    """Return the names of layers. A layer such as ``"light"`` is replaced by one layer for each light.
+    """Return the names of a picture's layers. A name such as ``"light"`` is replaced by one name for each light.
 
     Args:
         names: Names that the caller gave; each name has been checked.
@@ -100,7 +100,7 @@ class CentralHits:
         return np.column_stack([place, 1.0 - place.sum(axis=1)])
 
     def interpolated(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return values of the vertices, interpolated at the hits, shape (hits, components)."""
+        """Return values that are given at vertices, interpolated at the hits, shape (hits, components)."""
         corners = values[self.surface.faces[self.faces]].astype(np.float64)
         return np.asarray(np.einsum("nk,nkc->nc", self._barycentric, corners))
 
@@ -147,7 +147,7 @@ VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
 
 
 def lights_of(names: Sequence[str]) -> dict[int, str]:
-    """Return the indices of the lights whose directions are required, each with a layer that requires it."""
+    """Return the indices of the lights whose directions layers show, each with the name of such a layer."""
     directions = {
         int(index): name for name in names for base, _, index in [name.partition(".")] if index and base != LIGHT
     }
@@ -155,7 +155,7 @@ def lights_of(names: Sequence[str]) -> dict[int, str]:
 
 
 def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the layers of a picture with one ray per pixel, by name: all layers except ``"light"``.
+    """Return the layers (arrays such as depths and normals) of a picture with one ray per pixel, by name.
 
     Args:
         picture: Picture of points (single directions), one ray per pixel. Its lights are the results of

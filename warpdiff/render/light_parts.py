@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) -> None:
-    """Raise an error for a light with an extent (not a single direction), if coherence or settings exclude it.
+    """Raise an error if a light has an extent (not a single direction), but coherence or settings do not permit it.
 
     With a coherence of the kind ``"source"``, which has an angular diameter itself, lights must have no extent. With
     other coherences, lights with an extent require that pixels show means over footprints (areas of pixel filters).

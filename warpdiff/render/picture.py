@@ -51,12 +51,12 @@ if TYPE_CHECKING:
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
 
-# Fraction of the progress of one light [0 to 1] that is reported when its colours from one ray per pixel are complete
-# and refinement begins. The value was fitted to the times of a picture at a tolerance of 0.1.
+# Fraction of the work for one light [0 to 1] that is reported as finished when one ray per pixel has been shaded and
+# refinement begins. The value was fitted to the times of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture. From this number follows whether occluder grids (lists of
-# faces towards a light) are made, which save time if there are many shadow rays. The value was fitted to pictures of
-# the snake mesh, which have 20 shadow rays per hit at a tolerance of 0.1, and 59 at 0.03.
+# Expected number of shadow rays per hit in a refined picture. If it is large, occluder grids (lists of the faces that
+# may block a light) are made, which save time for many shadow rays. The value was fitted to pictures of a snake mesh,
+# which have 20 shadow rays per hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
 # Level of the first subdivision of pixels if a surface has a grating map, whose dots change colours abruptly. Level 2
 # has 16 cells per pixel. The value was chosen because 4 cells often miss the differences of colour within a pixel.
@@ -172,10 +172,11 @@ class Picture:
     def measure_directions(
         self, heightfields: Sequence[HeightField | None]
     ) -> list[tuple[DirectionRange, DirectionSample, int]]:
-        """Return the directions for which plans (numbers of computations) are required, by height field.
+        """Return the directions of light and viewer for which plans are required, for each height field.
 
-        Directions are described by their range, a sample of them and their number. ``heightfields`` has the height
-        field of each surface; None is a plain surface, which has no entry in the result.
+        A plan has the numbers of a computation, such as wavelengths. Directions are described by their range, a sample
+        of them and their number. ``heightfields`` has the height field of each surface; None is a plain surface, which
+        is not in the result.
         """
         return self.sampler.measure_directions(heightfields, self._light_sums)
 
@@ -209,7 +210,10 @@ class Picture:
             self._sums.xyz.assign(np.sum(xyz_by_part, axis=0, dtype=np.float32).reshape(-1, 3))
 
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
-        """Return pairs of an illuminant and a material of a lobe, by finish (surface and material) and spectrum."""
+        """Return the illuminants of a lobe with the materials that they illuminate, by finish and spectrum.
+
+        A finish is a surface with one of its materials.
+        """
         return self._passes[index.light].illuminated[index.lobe]
 
     @property
@@ -373,7 +377,10 @@ class Picture:
 
     @np.errstate(under="ignore")
     def image(self, plans: Sequence[Plan]) -> Image:
-        """Return the finished picture, with the first plan, and with errors estimated from the least accurate plan."""
+        """Return the finished picture with the first of the plans, and with errors estimated by the least accurate one.
+
+        A plan has the numbers of the computation for one surface, and predicts its errors.
+        """
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)

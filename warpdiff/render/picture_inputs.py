@@ -96,8 +96,8 @@ class SurfaceInputs:
         )
         parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, it suffices to
-        # try one of the sky's three primary spectra, because all three are smooth.
+        # The planner tests colour tables for the illuminants of lobes. If a sky is the only light, it suffices to test
+        # one of the sky's three primary spectra, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
         illuminated = IlluminatedMaterial.of(spectra, materials)
@@ -158,7 +158,7 @@ class SurfaceInputs:
         return evaluation.with_energy(replace(plan, coherence=self.evaluation.coherence))
 
     def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
-        """Return the look-up of the surface's colours, in tables or by a sum over wavelengths as the plan states."""
+        """Return the object that looks up the surface's colours, in tables or by sums over wavelengths, by the plan."""
         evaluation, ladder = self._evaluation_of_table, map_inputs.ladder_of(self.grating_map, self.evaluation)
         inputs = evaluation.heightfield, replace(plan, coherence=evaluation.coherence), direction_range
         device, threads = evaluation.device, evaluation.threads
@@ -169,7 +169,7 @@ class SurfaceInputs:
 
     @property
     def _evaluation_of_table(self) -> Evaluation:
-        """Inputs from which plans and tables are made. With a grating map, their coherence may not be the picture's."""
+        """Inputs from which plan and colour table are made. With a grating map, they may have another coherence."""
         evaluation = self.evaluation
         if self.grating_map is None:
             return evaluation
@@ -201,7 +201,7 @@ class PictureInputs:
     def of(
         cls, heightfield: SurfacesOfMesh, lights: Light | Sequence[Light], view: View, settings: PictureSettings
     ) -> PictureInputs:
-        """Combine settings, surfaces, lights and view; raise errors if they do not suit, before any kernel runs."""
+        """Combine settings, surfaces, lights and view; raise errors if they contradict, before any kernel runs."""
         lights = listed(lights)
         if isinstance(heightfield, Mapping):
             surfaces = _inputs_by_key(heightfield, lights, settings)
@@ -256,7 +256,7 @@ class PictureInputs:
 
     @property
     def evaluation(self) -> Evaluation:
-        """Evaluation of the first surface; device, threads and footprints are the same for all surfaces."""
+        """Inputs of the first surface's colours; device, threads and footprints are the same for all surfaces."""
         return next(iter(self.surfaces.values())).evaluation
 
     def parts_of(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
@@ -304,7 +304,7 @@ class PictureInputs:
         return replace(self, settings=settings, surfaces=surfaces, parts=list(parts))
 
     def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
-        """Return the plans in the form of the user's surfaces: one plan, or plans by the keys of the parts.
+        """Return the only plan if the user gave one height field, otherwise the plans by keys of the mesh's parts.
 
         Plain surfaces have no plan, and are omitted.
         """
@@ -378,7 +378,7 @@ def _in_unit(inputs: PictureInputs) -> Evaluation:
 def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSettings) -> Coherence:
     """Return the coherence of the mirror to which all colours of a picture are relative.
 
-    It is the coherence of the call, which applies to surfaces without a coherence of their own.
+    It is the argument ``coherence`` of the call, which applies to surfaces without a coherence of their own.
     """
     if settings.coherence is not None or not isinstance(settings.plan, Mapping):
         return settings.coherence or Coherence()
@@ -393,7 +393,7 @@ def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSett
 
 
 def _has_own_coherence(surface: SurfaceOfPart) -> bool:
-    """Whether a surface does not use the coherence of the call. A grating map has a default coherence of its own."""
+    """Whether a surface does not use the call's argument ``coherence``. A grating map has a default of its own."""
     if isinstance(surface, Surface):
         return surface.coherence is not None or isinstance(surface.heightfield, GratingMap)
     return isinstance(surface, GratingMap)
@@ -402,7 +402,7 @@ def _has_own_coherence(surface: SurfaceOfPart) -> bool:
 def _inputs_by_key(
     surfaces: Mapping[str, SurfaceOfPart], lights: Sequence[Light], settings: PictureSettings
 ) -> dict[str, SurfaceInputs]:
-    """Check a mapping from keys of parts to surfaces, and return the inputs of each surface by its key."""
+    """Check a mapping from keys (names of mesh parts) to surfaces; return the inputs of each surface by its key."""
     checked = {key: _checked_surface(key, value) for key, value in surfaces.items()}
     gratings = {key: surface for key, surface in checked.items() if surface is not None}
     if not gratings:
@@ -447,7 +447,7 @@ def _inputs_by_key(
 
 
 def _checked_surface(key: object, value: object) -> Surface | None:
-    """Return a value of the user's mapping as a checked surface; None is a plain surface."""
+    """Return a value of the user's mapping from mesh parts to surfaces, after checks; None is a plain surface."""
     if not isinstance(key, str):
         raise ArgumentTypeError(f"{ref('heightfield')} must have names of parts as keys, got {type(key).__name__}")
     if isinstance(value, (HeightField, GratingMap)):

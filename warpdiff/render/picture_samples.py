@@ -47,8 +47,8 @@ class LitPixels:
         scattering_vectors: Scattering vectors (u, v, w), shape (n, 3).
         to_lights: Unit vectors to the light in the local frame, shape (n, 3).
         gains: Factors of the colours: cosines, masking, reflectance by angle, and the power of the light, shape (n,).
-        footprints: Covariances uu, uv and vv of (u, v) over the filter of each pixel, shape (n, 3); None for points.
-            Standard deviations are at most 0.35.
+        footprints: Covariances uu, uv and vv of the scattering vector's components u and v over the filter of each
+            pixel, shape (n, 3); None for points. Standard deviations are at most 0.35.
         illuminated: Illuminant of the light with the material of the surface.
     """
 
@@ -69,7 +69,7 @@ class LitPixels:
 
     @staticmethod
     def joined(others: Sequence[LitPixels]) -> LitPixels:
-        """Join several objects whose samples have the same illuminant and material."""
+        """Join several sets of samples that have the same illuminant and material."""
         footprints = [other.footprints for other in others if other.footprints is not None]
         pixels, vectors, lights, gains = (
             np.concatenate([getattr(other, name) for other in others]) for name in _ARRAYS
@@ -186,7 +186,10 @@ def _lit(picture: Picture, index: LobeIndex, *, means: bool) -> list[LitPixels]:
 
 
 def _covariances(picture: Picture, index: LobeIndex) -> NDArray[np.float64]:
-    """Return the covariances uu, uv and vv of (u, v) over the filters of all pixels, shape (pixels, 3)."""
+    """Return the covariances uu, uv and vv of the scattering vector (u, v) over the filter of each pixel.
+
+    The shape is (pixels, 3).
+    """
     deviation = pixel_filter.deviation_at(0, means=True)
     batch = picture.sampler.batch(picture.sums, deviation=deviation)
     picture.rays.launch(picture.footprint_calls(index, batch))

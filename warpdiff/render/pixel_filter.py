@@ -75,7 +75,7 @@ def _cut_deviation() -> float:
 
 @functools.cache
 def places_at(level: int, device: str) -> wp.array:
-    """Return the positions of a pixel's cells relative to its centre, (right, down) [pixels], on a device."""
+    """Return the positions (right, down) of a pixel's subpixel cells relative to its centre [pixels], on a device."""
     across = 2**level
     places = (np.arange(across) + 0.5) / across - 0.5
     down, right = np.meshgrid(places, places, indexing="ij")
@@ -84,10 +84,10 @@ def places_at(level: int, device: str) -> wp.array:
 
 @functools.cache
 def weights_at(level: int, means: bool, device: str) -> wp.array:
-    """Return the weights with which the cells of three pixels in a row contribute to the middle pixel, along one axis.
+    """Return the weights with which the subpixel cells of three neighbouring pixels contribute to the middle pixel.
 
-    Each cell has a narrow filter. With these weights, the narrow filters add up to the wider pixel filter. The sum of
-    the weights is 1.
+    The three pixels are along one axis. Each cell has a narrow filter. With these weights, the narrow filters add up to
+    the wider pixel filter. The sum of the weights is 1.
     """
     return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
 
@@ -103,12 +103,11 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 @functools.cache
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
-    """Return correction factors for the weights of cells, one row per level and three columns.
+    """Return correction factors for the weights of subpixel cells, one row per level and three columns.
 
-    The columns are for the neighbour of a pixel on one side, the pixel itself, and the neighbour on the other side
-    along an axis. The filter of the pixel has a certain part of its weight in each of these three pixels. The weights
-    of the cells in such a pixel add up to a slightly different sum. The correction factor is that part divided by this
-    sum.
+    The columns are for three pixels along an axis: the neighbour of a pixel on one side, the pixel itself, and the
+    neighbour on the other side. The filter of the pixel has a certain part of its weight in each of them. The weights
+    of the cells there add up to a slightly different sum. The correction factor is that part divided by this sum.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
@@ -119,7 +118,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Divide a list of pixels into consecutive parts. One rasterization finds the faces for all cells of a part."""
+    """Divide a list of pixels into parts. One rasterization finds the faces for all subpixel cells of a part."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
@@ -163,7 +162,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the smallest divisor of relative errors: 1e-3 of the 99th percentile of illuminated luminances."""
+    """Return the smallest divisor of relative errors: 1e-3 of the 99th percentile of illuminated pixels' luminances."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)

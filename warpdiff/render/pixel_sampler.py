@@ -36,7 +36,7 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """Indices of a light (of its pass) and of one of its lobes (directions, or Gaussians of directions)."""
+    """Index of a light in the list of passes, and index of one of its lobes (directions or Gaussians of directions)."""
 
     light: int
     lobe: int
@@ -62,14 +62,14 @@ class PixelSampler:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard the hits of rays and the samples there, for example after a change of the view."""
+        """Discard the hits of rays and the light samples at the hits, for example after a change of the view."""
         self._sample: int | None = None
         self._lobe: LobeIndex | None = None
 
     def set_lights(self, passes: Sequence[LightPass]) -> None:
         """Set the passes of the lights.
 
-        Hits of rays remain valid. Samples are discarded, because they belong to the previous lights.
+        Hits of rays remain valid. Light samples at the hits are discarded, because they belong to the previous lights.
         """
         self._passes, self._lobe = passes, None
         if any(light_pass.has_directions for light_pass in passes) and not self.samples.spectral_gains.size:
@@ -109,7 +109,7 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Write samples of a lobe (direction to a light) at the hits of one ray per pixel to ``samples``.
+        """Sample a lobe (direction to a light) at the hits of one ray per pixel, and write the result to ``samples``.
 
         The light that the pigment reflects is added to the colours in ``sums``. The light that the height field
         diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. The ray is traced
@@ -151,7 +151,7 @@ class PixelSampler:
         A dot of a grating map rotates a height field and scales its lengths by the pitch scale.
 
         Directions to the light are scaled to unit length. A plan that is chosen for them therefore meets its tolerance
-        for the dots with the smallest pitch scale, whose diffraction orders are narrowest relative to (u, v).
+        for the dots with the smallest pitch scale, whose diffraction orders are the narrowest.
         """
         dots, of_dots = self._context.dots, self.samples.of_dots
         if dots is None or of_dots is None or not dots.has_map(surface):
@@ -168,7 +168,8 @@ class PixelSampler:
     ) -> list[tuple[DirectionRange, DirectionSample, int]]:
         """Return the directions for which plans (numbers of computations) are made, by height field.
 
-        Only directions under light count. They are described by their range, a sample of them and their number.
+        Only directions of light that reaches the surface count. They are described by their range, a sample of them and
+        their number.
 
         Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
         are computed.
@@ -221,7 +222,7 @@ class _Measured:
         surface: Index of the surface.
         within: Range of the directions.
         count: Number of the directions.
-        sampled: Samples of the directions.
+        sampled: Random samples of the directions, one for each call of :meth:`add` with ``parts``.
     """
 
     heightfield: HeightField
@@ -238,8 +239,8 @@ class _Measured:
     ) -> None:
         """Add the directions of one lobe.
 
-        A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of samples that
-        will be joined to one, which determines their sizes.
+        A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of such samples
+        that will be joined to one: the more there are, the fewer directions each sample has.
         """
         scattering_vectors, to_lights, gains = directions
         gains = context.gains_on(self.surface, gains)

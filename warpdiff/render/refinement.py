@@ -61,7 +61,7 @@ class RefinementPolicy:
 
     @property
     def measures_scatter(self) -> bool:
-        """Whether errors follow from the scatter of the cells' colours, instead of their curvature over the pixel."""
+        """Whether errors are estimated from the noise of the cells' colours, not from smooth changes over a pixel."""
         return self.is_sampled or self.has_dots
 
     @property
@@ -125,7 +125,7 @@ class LightRefinement:
 
     @property
     def _cells_are_means(self) -> bool:
-        """Whether cells show means over their filter: means over footprints in (u, v), or means of textures."""
+        """Whether subpixel cells show means over their filter: means over footprints, or means of textures."""
         return self.lookups.uses_footprints or self.light_pass.context.is_textured
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
@@ -141,9 +141,10 @@ class LightRefinement:
         return KernelCall(pixel_contrast.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def mark_edges_of_dots(self, floor: wp.array, marks: wp.array) -> KernelCall | None:
-        """Return the kernel call that marks pixels near the edges of dots, which :meth:`estimate_errors` does not find.
+        """Return the kernel call that marks pixels near edges of a grating map's dots for subdivision.
 
-        The result is None if there are no dots (no grating map), or if all pixels are marked already.
+        :meth:`estimate_errors` does not find these edges. The result is None without a grating map, without refinement,
+        or if directions to the light are drawn at random.
         """
         policy, samples = self.policy, self.batch.samples
         if samples.of_dots is None or policy.is_sampled or not policy.refine:
@@ -189,7 +190,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that decides which tiles at ``level`` get more cells, and at which level."""
+        """Return the kernel call that selects the tiles at ``level`` that are divided further, and their next level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -240,8 +241,8 @@ class TileExecutor(Protocol):
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
-            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if its error requires subdivision; ``SHARED`` if the pixel and its eight
+            neighbours are subdivided only because of marked pixels near them; otherwise 0.
     """
 
     floor: wp.array
@@ -322,9 +323,9 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level or policy.measures_scatter:
-                    # Levels are selected by errors relative to the colours of pixels. Pixels therefore get their
-                    # filtered colours first. A dark pixel next to a bright one has a smaller colour without the filter.
-                    # Its relative error would be too large, and it would get too many cells.
+                    # Levels of subdivision are selected by errors relative to the colours of pixels. The colours are
+                    # therefore filtered first. Without the filter, a dark pixel next to a bright one is darker. Its
+                    # relative error would be too large, and it would get too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

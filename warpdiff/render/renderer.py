@@ -57,7 +57,8 @@ class Renderer:
     plan; tables are computed again.
 
     Attributes:
-        plan: The plan, which states what is computed and why; with several surfaces, plans by part of the mesh.
+        plan: The plan, which states what is computed and why. With several surfaces, it is a mapping from parts of the
+            mesh to plans.
 
     Examples:
         >>> import warpdiff as wd
@@ -112,7 +113,7 @@ class Renderer:
     def _begin(
         self, inputs: PictureInputs, surface: Surface, view: View, lookups: Lookups | None = None
     ) -> None:  # fmt: skip
-        """Choose the plans, and make the tables and the picture. Tables that exist already are in ``lookups``."""
+        """Choose the plans, and make colour tables and picture. ``lookups`` has the tables that exist already."""
         device = inputs.evaluation.device
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
@@ -136,7 +137,7 @@ class Renderer:
 
     @property
     def _made_of(self) -> tuple[PictureInputs, list[Plan], Surface, View]:
-        """Checked inputs, plans, mesh and this thread's view of the pictures, which ``wd.adjoint.pixels`` requires."""
+        """Checked inputs, plans, mesh and the view of this thread's pictures, for the use of ``wd.adjoint.pixels``."""
         return self._inputs, self._plans, self._surface, self._mine.view
 
     @property
@@ -311,7 +312,7 @@ class Renderer:
         progress: Callable[[float], None] | None = None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
-        """Launch the kernels of a picture."""
+        """Launch the kernels that compute a picture."""
         mine.picture.render(self._lookups, tolerance=self._tolerance, progress=progress, previews=previews)
 
     def _replay(self, mine: _ThreadPicture) -> None:

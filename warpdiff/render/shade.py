@@ -118,9 +118,9 @@ class LayerRequest:
 
     Attributes:
         names: Names of the layers. If there is one layer per light, its name includes the index of the light.
-        parts: For each light, the parts that are rendered one after the other; empty if no layer is the light of a
-            single light.
-        directed: Parts whose directions the layers show, one for each light of ``layers.lights_of``.
+        parts: For each light, the parts that are rendered one after the other; empty if no layer shows the colours
+            under a single light.
+        directed: Parts with a single direction that a layer shows, one for each light of ``layers.lights_of``.
     """
 
     names: tuple[str, ...]
@@ -190,8 +190,8 @@ def _render(
     return inputs.image(picture, plans), xyz_by_part
 
 
-# Fraction of the progress of a spectral picture [0 to 1] that is reported when its colours are complete. Other values
-# would change only the display of the progress.
+# Fraction of the work for a spectral picture [0 to 1] that is reported as finished when its colours are complete. Other
+# values would change only the display of the progress.
 _PROGRESS_OF_COLOURS = 0.5
 
 

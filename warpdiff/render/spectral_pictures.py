@@ -30,7 +30,7 @@ _BYTES_PER_VALUE = 4
 
 
 def check_spectral(evaluation: Evaluation, parts: Sequence[LightPart], view: View) -> None:
-    """Raise an error if lights or materials are unknown at the wavelengths, or if memory does not suffice."""
+    """Raise an error if spectra of lights or materials lack the wavelengths, or if memory does not suffice."""
     wavelengths = np.asarray(evaluation.wavelengths_nm)
     for spectrum in dict.fromkeys(spectrum for part in parts for spectrum in part.spectra):
         colorimetry.relative_powers(spectrum, wavelengths)

@@ -49,7 +49,8 @@ class HostTileGroup(TileGroup):
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
         """Return the arrays of sums over subpixel cells into which kernels write when the tiles of a level are shaded.
 
-        ``is_base`` states whether the level is the base level, that of the first cells; it has one array more.
+        ``is_base`` states whether the level is the base level, the level of a pixel's first cells. This level has an
+        additional array.
         """
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
@@ -63,7 +64,7 @@ class _ShadedTiles:
     """
 
     def __init__(self) -> None:
-        # For each level, the indices of the shaded tiles, and copies of the sums over their cells.
+        # For each level of subdivision: the indices of the shaded tiles, and copies of the sums over their cells.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
     def fill(
@@ -95,8 +96,8 @@ class ThreadedTiles:
         count: Number of pixels that were subdivided under one light; under several lights, the largest of these
             numbers.
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
-            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if its error requires subdivision; ``SHARED`` if the pixel and its eight
+            neighbours are subdivided only because of marked pixels near them; otherwise 0.
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
@@ -119,7 +120,7 @@ class ThreadedTiles:
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute ``floor``, the smallest divisor of relative errors, by sorting luminances."""
+        """Begin the refinement under a light: compute ``floor``, the smallest divisor of relative errors."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
@@ -127,14 +128,14 @@ class ThreadedTiles:
         self.marks = self._array(self._marked, wp.uint8)
 
     def end(self, light: LightRefinement) -> None:
-        """Do nothing; only the executor on a GPU has work at the end of a light."""
+        """Do nothing; only the executor on a GPU has work at the end of the refinement under a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
         """Launch a kernel call over ``elements``, which are pixels or tiles, in slices."""
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
-        """Yield the marked pixels in groups of limited size, each with the pixels that are subdivided for it."""
+        """Yield groups of the pixels that are marked for subdivision, with all pixels that a group subdivides."""
         pixels = np.flatnonzero(self._marked).astype(np.int32)
         self.count = max(self.count, len(pixels))
         if not len(pixels):

@@ -31,9 +31,9 @@ class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
     The flags are in the order of these optional arrays: geometry factors of directions that a table does not contain;
-    base colours; geometry factors at faces with the finish that is evaluated, if faces have several finishes; each
-    ray's own direction to the light; metallic, roughness and emission of textures; and samples in the frames of the
-    dots of grating maps.
+    base colours; geometry factors at faces with the finish (surface and material) that is evaluated, if there are
+    several finishes; each ray's own direction to the light; metallic, roughness and emission of textures; and samples
+    in the frames of the dots of grating maps.
     """
 
     needs_sampling: bool
@@ -88,7 +88,7 @@ class TileBuffers:
     def batch(self, level: int) -> RayBatch:
         """Return the cells of one level in the buffers as a batch of rays.
 
-        The batch has no sums of coverage and illumination. These sums are made per pixel, when the cells are added.
+        The batch has no sums of coverage and illumination. These sums are made when cells are added to pixels.
         """
         device = self.colours.device
         coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
@@ -126,7 +126,7 @@ class SharedTileBuffers:
         self, level: int, pixels: NDArray[np.int32], pipeline: Pipeline, nearest: NDArray[np.uint64], *, threads: int,
         progress: Callable[[float], None] | None,
     ) -> None:  # fmt: skip
-        """Launch kernel calls over all cells of some pixels, in slices of pixels that fit a part of the buffers.
+        """Launch kernel calls over all subpixel cells of some pixels, in slices of pixels that fit a buffer part.
 
         Args:
             level: Level of the cells.

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# A framed mesh fills this fraction of the width of the image or of its height, whichever limits the size of the mesh.
-# The value was chosen so that a margin of 4 % remains on each side.
+# Fraction of the image that a mesh fills after `View.fit`: of its width or of its height, whichever limits the size of
+# the mesh. The value was chosen so that a margin of 4 % remains on each side.
 _FILLED = 0.92
-# Smallest distance of the eye from a framed mesh, in radii of the mesh. Without this limit, a mesh that looks like a
-# point, such as a line along the viewing direction, would have the distance 0.
+# Smallest distance of the camera that `View.fit` places in front of a mesh, in radii of the mesh. Without this limit,
+# a mesh that looks like a point, such as a line along the viewing direction, would have the distance 0.
 _LEAST_DISTANCE = 1e-2
 
 
@@ -102,8 +102,8 @@ class View(ReadOnlyArrays, Checked):
                 f"{ref('width')} times {ref('height')} must be at most {MOST_ELEMENTS} pixels, "
                 f"got {self.width} × {self.height}"
             )
-        # The frame is computed here although it is not stored, because its computation raises errors if the arguments
-        # do not define a camera.
+        # The camera's axes are computed here although they are not stored, because their computation raises errors if
+        # the arguments do not define a camera.
         self.frame()
 
     @classmethod

@@ -32,8 +32,8 @@ _SEED = 0
 # so that a slice requires about 1 ms.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
 # Occluder grids (lists of the faces that may block a light) are made if the mesh has fewer than this number of faces
-# per shadow ray. The value was fitted to times, in units of a shadow ray through the hierarchy: adding a face to a grid
-# takes a fifth, and a shadow ray through the grid takes a quarter.
+# per shadow ray. The value was fitted to measured times. Adding a face to a grid takes a fifth of the time of a shadow
+# ray through a bounding volume hierarchy, and a shadow ray through the grid takes a quarter.
 _FACES_PER_RAY = 3
 # Approximate size of an occluder grid, which lists the faces that may block a light, per face of the mesh [bytes]; and
 # largest size of all grids together [bytes]. The largest size is limited by memory. There is one grid per directional
@@ -42,7 +42,7 @@ _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
 class CameraRays:
-    """Rays through the pixels of a picture of a surface, which find their hits through a hierarchy of faces.
+    """Rays through the pixels of a picture, which find their hits by a bounding volume hierarchy of the mesh's faces.
 
     Attributes:
         surface: The prepared mesh.
@@ -53,7 +53,7 @@ class CameraRays:
         height: Number of rows, including the margin.
         size: Number of pixels, including the margin.
         options: Keyword arguments of kernel launches: the device and the number of threads.
-        gbuffer: Hits of one ray per pixel, which the kernel calls that :meth:`trace` returns compute.
+        gbuffer: Hits of one ray per pixel. They are computed by the kernel calls that :meth:`trace` returns.
         may_be_occluded: Whether the mesh may occlude a light from some point that is visible in the view.
     """
 
@@ -85,7 +85,7 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
-        """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace it.
+        """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace this ray.
 
         ``deviation`` is the standard deviation of the pixel filter [pixels], as in :meth:`calls`.
         """
@@ -157,7 +157,8 @@ class CameraRays:
 class RasterizedRays(CameraRays):
     """Camera rays on the CPU, where rasterization finds the nearest face of each ray.
 
-    Rasterization takes a quarter of the time of a hierarchy on the CPU, but its launches cannot be recorded as a graph.
+    Rasterization takes a quarter of the time of a bounding volume hierarchy on the CPU. Its kernel launches cannot be
+    recorded for later replay.
     """
 
     def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
@@ -168,11 +169,14 @@ class RasterizedRays(CameraRays):
         return self.calls(sampling, self.gbuffer, deviation)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
-        """Return the kernel calls of :meth:`CameraRays.calls`, after rasterization of the nearest faces."""
+        """Return the kernel calls for rays whose nearest faces are known from rasterization."""
         return self._known_face_calls(sampling, gbuffer, deviation)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
-        """Return the index of the nearest face at each subpixel cell of ``pixels`` pixels, one pixel after another."""
+        """Return the index of the nearest face at the centre of each subpixel cell, pixel after pixel.
+
+        ``pixels`` is the number of pixels that are divided into cells.
+        """
         nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
@@ -187,7 +191,7 @@ class RasterizedRays(CameraRays):
     def shadow_grids(
         self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
     ) -> list[ShadowGrid]:
-        """Return a grid of possible occluders for each light. Grids that save no time, or are too large, are empty."""
+        """Return for each light a grid with the faces that may occlude it; empty if a grid is slower or too large."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         pays = pays and self.scene.is_opaque
@@ -203,14 +207,14 @@ def rays_for(
     surface: Surface, view: View, *, smooth: bool = True, margin: int = 0, device_driven: bool = False,
     device: wp.Device, threads: int,
 ) -> CameraRays:  # fmt: skip
-    """Return camera rays of the faster class: rasterization on the CPU, a hierarchy of faces on a GPU.
+    """Return camera rays of the faster class: rasterization on the CPU, a bounding volume hierarchy on a GPU.
 
     Args:
         surface: The prepared mesh.
         view: First view. Later views must have the same size in pixels.
         smooth: Whether vertex normals are interpolated.
         margin: Number of pixels that are added to the picture on each side.
-        device_driven: Whether the CPU uses the hierarchy, too, because its launches can be recorded.
+        device_driven: Whether the CPU uses the hierarchy, too, whose kernel launches can be recorded for later replay.
         device: The Warp device.
         threads: Number of threads on the CPU.
     """

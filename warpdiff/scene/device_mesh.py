@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Largest number of faces per leaf of a hierarchy on the CPU. The value changes the time of rays, not their hits.
+# Largest number of faces per leaf of a bounding volume hierarchy on the CPU. The value changes the time that rays
+# require, not their hits.
 _LEAF = 4
-# Lock that is held while a hierarchy is built, so that two threads do not build the same one.
+# Lock that is held while a bounding volume hierarchy is built, so that two threads do not build that of the same mesh.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
 # Number of cached occluder grids per mesh. A grid lists the faces that may block light from one direction. The grids
@@ -47,9 +48,9 @@ class SceneArrays:
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.
-        has_maps: Whether any plain face has a texture of metallic, roughness or emission.
+        has_maps: Whether any face without a height field has a texture of metallic, roughness or emission.
         face_count: Number of faces.
-        grids: Cache of occluder grids (lists of the faces that may block a light) by light direction.
+        grids: Cache of occluder grids (lists of the faces that may block a light), by the direction to the light.
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
@@ -87,10 +88,11 @@ class SceneArrays:
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
     def with_hierarchy(self) -> SurfaceArrays:
-        """Return the mesh as a struct for kernels, with a hierarchy of its faces, which the first call builds."""
+        """Return the mesh as a struct for kernels, with a bounding volume hierarchy, which the first call builds."""
         with _once:
             if self._mesh is None:
-                # On the CPU, the builder "cubql" makes a hierarchy in half the time of Warp's default builder.
+                # On the CPU, Warp's builder "cubql" makes a bounding volume hierarchy in half the time of the default
+                # builder.
                 constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
                 self._mesh = wp.Mesh(
                     points=self.bare.positions, indices=self.bare.faces.flatten(), bvh_constructor=constructor,
@@ -109,8 +111,8 @@ def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> Scen
 def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Camera:
     """Return the struct :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
-    The camera has ``margin`` additional pixels on each side. The vectors of the camera are written to the array
-    ``axes``, (5,) of ``wp.vec3d``.
+    The camera has ``margin`` additional pixels on each side. The function writes the camera's origin and axes to the
+    array ``axes``, (5,) of ``wp.vec3d``.
     """
     frame = view.frame()
     result = Camera()

@@ -22,27 +22,28 @@ if TYPE_CHECKING:
 
     from warpdiff.request.settings import TangentRule
 
-# Largest number of positions of a connected part for which a smooth field is computed. The number is limited by time
-# and memory: 99,000 positions of a torus required 5 s and 0.6 GB, and twice as many require more than twice as much of
-# both.
+# Largest number of vertex positions in a connected part of a mesh for which a smooth direction field is computed. The
+# number is limited by time and memory: a torus of 99,000 positions required 5 s and 0.6 GB. Twice as many positions
+# require more than twice as much of both.
 MOST_POSITIONS = 100_000
 # Vertices at one position belong to opposite sides of a thin sheet if the cosine of the angle between their normals is
-# below this number. It is the cosine of 150°, which was chosen because edges of solid bodies have smaller angles.
+# below this number. It is the cosine of 150°, which was chosen because normals at edges of solid bodies have smaller
+# angles.
 _OPPOSITE_COSINE = float(np.cos(np.radians(150.0)))
-# Smallest and largest weight of an edge in the connection Laplacian. Negative weights, which obtuse angles cause, would
-# reward rotations of the field along the edge. Weights of extremely narrow triangles would exceed the accuracy of
-# float64.
+# Smallest and largest weight of a mesh edge in the connection Laplacian. With a negative weight, which obtuse angles
+# cause, a direction field that rotates along the edge would count as smoother. Weights of extremely narrow triangles
+# would exceed the accuracy of float64.
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-3, 1e3
-# Smallest area of a node (a third of the area of its faces), relative to the mean area of all nodes. Areas of extremely
-# narrow triangles would underflow.
+# Smallest area of a node, relative to the mean area of all nodes. A node is a vertex position, and its area is a third
+# of the area of its faces. Areas of extremely narrow triangles would underflow.
 _LEAST_MASS = 1e-9
 # Shift that is added to the eigenvalues of the connection Laplacian, in units of 1 / area of a connected part. The
 # least eigenvalue of a plane is 0, so that its matrix could not be factorised without a shift. The eigenvalues of round
 # bodies are about 10.
 _SHIFT = 1e-4
-# Inverse iteration for the eigenvectors of the connection Laplacian: number of random columns of the subspace, largest
-# number of iterations, and relative change of the least eigenvalue at which the iterations end. With these values, the
-# energy of the field (the integral of its squared derivative) is within 0.1 % of the minimum.
+# Inverse iteration for the eigenvectors of the connection Laplacian: number of random vectors among the start vectors,
+# largest number of iterations, and relative change of the least eigenvalue at which the iterations end. With these
+# values, the integral of the squared derivative of the direction field is within 0.1 % of the minimum.
 _RANDOM, _MOST_ITERATIONS, _CONVERGED = 2, 40, 1e-4
 # Eigenvectors count as equally smooth if their eigenvalues exceed the least eigenvalue by at most this fraction. On a
 # sphere, several eigenvalues are equal, but on a mesh that approximates the sphere they differ by about this fraction.
@@ -51,8 +52,8 @@ _EQUAL_SHARE = 0.02
 # number of elements of a batch of such matrices. Sparse matrices of small parts would require 5 ms each, mainly for
 # function calls. A batch has 4 MB.
 _MOST_DENSE, _MOST_ELEMENTS = 64, 2**18
-# The field has no direction at a node where the magnitude of the eigenvector, relative to its largest magnitude, is
-# below this number. Such values are only rounding errors.
+# The direction field is zero at a node (vertex position) where the magnitude of the eigenvector, relative to its
+# largest magnitude, is below this number. Such values are only rounding errors.
 _LEAST_SIZE = 1e-13
 
 
@@ -78,7 +79,7 @@ class Body:
 
     @property
     def needs_directions(self) -> NDArray[np.bool_]:
-        """Whether each vertex belongs to a face that needs directions, shape (n,)."""
+        """Whether each vertex belongs to a face that needs tangent directions, shape (n,)."""
         result = np.zeros(self.vertices.shape[1], np.bool_)
         result[self.faces[:, self.is_used]] = True
         return result
@@ -98,12 +99,12 @@ def direction_field(rule: TangentRule, body: Body) -> NDArray[np.float64]:
 
 
 def _around(axis: NDArray[np.float64], body: Body) -> NDArray[np.float64]:
-    """Return directions around an axis through the centre of area of each object."""
+    """Return directions around an axis that passes through the centroid of each object's surface."""
     areas = FaceGeometry(body.vertices, body.faces).twice_area
     count = int(body.objects.max()) + 1
     middles = np.stack([component.take(body.faces).mean(axis=0) for component in body.vertices])
     centres = np.stack([sum_at(body.objects, areas * middle, count) for middle in middles])
-    # An object without any face of non-zero area has the sum 0 here, which must not be a divisor.
+    # An object without any face of non-zero area has a total area of 0, which must not be a divisor.
     centres /= np.maximum(sum_at(body.objects, areas, count), np.finfo(float).tiny)
     of_vertices = np.zeros(body.vertices.shape[1], np.int64)
     of_vertices[body.faces] = body.objects
@@ -197,7 +198,8 @@ class _Net:
     def components(self) -> Iterator[NDArray[np.int64]]:
         """Yield the nodes of connected components. Components of equal size form one array, shape (components, size).
 
-        Components of more than ``_MOST_DENSE`` nodes are separate. An error is raised first if one is too large.
+        Components of more than ``_MOST_DENSE`` nodes are separate. Before the first one, an error is raised if any
+        component is too large.
         """
         from scipy.sparse import csgraph
 
@@ -245,12 +247,12 @@ class _Net:
 
 
 def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-    """Return the smoothest fields on connected components of equal size: complex numbers of magnitude 1 at nodes.
+    """Return the smoothest direction fields on connected components of equal size, as complex numbers at the nodes.
 
-    Several eigenvectors may be equally smooth. A common rotation of all vectors, for example, never changes the
-    smoothness. The field is then the combination of these eigenvectors that is nearest to a candidate field. Candidates
-    are ordered by preference. The first candidate is chosen whose projection onto the eigenvectors has at least half of
-    the squared norm of the largest projection.
+    The numbers have a magnitude of 1. Several eigenvectors may be equally smooth. A common rotation of all vectors, for
+    example, never changes the smoothness. The field is then the combination of these eigenvectors that is nearest to a
+    candidate: a field along or around a coordinate axis. Candidates are ordered by preference. The first candidate is
+    chosen whose projection onto the eigenvectors has at least half of the squared norm of the largest projection.
 
     Args:
         net: Nodes of the mesh, with their connection Laplacian.
@@ -271,7 +273,7 @@ def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
     shares = np.sum(np.abs(parts) ** 2, axis=1)
     largest = shares.max(axis=1, keepdims=True)
     chosen = np.take_along_axis(parts, np.argmax(shares >= 0.5 * largest, axis=1)[:, None, None], axis=2)
-    # If all candidate fields have a projection of 0, the field is the first eigenvector.
+    # If the projections of all candidate fields onto the eigenvectors are 0, the field is the first eigenvector.
     chosen[:, 0] += largest == 0.0
     field = (eigenvectors @ chosen)[..., 0]
     sizes = np.abs(field)
@@ -282,7 +284,7 @@ def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
 def _least_eigenvectors(
     laplacian: csr_array, root: NDArray[np.float64], start: NDArray[np.complex128]
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Return the least eigenvalues and their eigenvectors, by inverse iteration of a subspace (Rayleigh and Ritz).
+    """Return the least eigenvalues of a matrix and their eigenvectors, by inverse subspace iteration (Rayleigh–Ritz).
 
     Args:
         laplacian: Connection Laplacian of one connected component, shape (k, k).
@@ -290,8 +292,8 @@ def _least_eigenvectors(
         start: Vectors with which the iteration starts, besides random vectors, shape (k, columns).
 
     Returns:
-        Eigenvalues in ascending order, shape (columns,), and orthonormal columns, shape (k, columns). A field is a
-        column divided by ``root``.
+        Eigenvalues in ascending order, shape (columns,), and orthonormal eigenvectors, shape (k, columns). A direction
+        field is an eigenvector divided by ``root``.
     """
     from scipy.sparse import diags_array, eye_array
     from scipy.sparse.linalg import splu
@@ -300,7 +302,8 @@ def _least_eigenvectors(
     matrix = (scale @ laplacian @ scale).tocsc()
     shifted = (matrix + _SHIFT * eye_array(len(root))).tocsc()
     factors = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    # Random columns ensure that the start is not perpendicular to the least eigenvector, which could not be found then.
+    # Random start vectors are added. If all start vectors were perpendicular to the least eigenvector, the iteration
+    # could not find it.
     random = np.exp(2j * np.pi * np.random.default_rng(0).random((len(root), _RANDOM)))
     block, least = np.concatenate([start, root[:, None] * random], axis=1), np.inf
     for _ in range(_MOST_ITERATIONS):
@@ -325,6 +328,6 @@ def _rotated(
     vectors: NDArray[np.float64], before: NDArray[np.float64], after: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return vectors, perpendicular to the normals ``before``, after the smallest rotation to the normals ``after``."""
-    # Between opposite normals, the axis of the rotation is undefined. The denominator then remains positive.
+    # Between opposite normals, the axis of the rotation is undefined. The limit 1e-6 then keeps the divisor positive.
     factor = dot(vectors, after) / np.maximum(1.0 + dot(before, after), 1e-6)
     return np.asarray(vectors - factor * (before + after))

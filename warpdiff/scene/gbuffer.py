@@ -25,7 +25,7 @@ class GBuffer:
 
     @classmethod
     def allocate(cls, rays: int, *, coloured: bool, has_maps: bool = False, device: wp.Device) -> GBuffer:
-        """Return uninitialised arrays for a number of rays.
+        """Return a G-buffer with uninitialised arrays for a number of rays.
 
         Args:
             rays: Number of rays.

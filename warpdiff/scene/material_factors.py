@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import Appearance, ScenePart
 
 
-# Factors of materials that are checked: name in messages, attribute of ``Appearance``, and largest permitted value.
+# Factors of materials whose ranges are checked: name in messages, attribute of ``Appearance``, and largest accepted
+# value.
 _FACTORS = (
     ("base colour", "base_colour", 1.0), ("base colour", "fallback_colour", 1.0), ("metallic", "metallic", 1.0),
     ("roughness", "roughness", 1.0), ("emission", "emission", np.inf), ("alpha cut-off", "alpha_cutoff", np.inf),
@@ -34,7 +35,7 @@ _FACTORS = (
 
 @dataclass(frozen=True, eq=False)
 class MaterialFactors:
-    """Factors of the k rows of a mesh. A row is the appearance of one material on one part of the mesh.
+    """Metallic, roughness and emission of a mesh, in k rows: one row for each material on each part of the mesh.
 
     Attributes:
         metallic: Metallic of the metallic-roughness model, 0 to 1, shape (k,), float32.
@@ -48,10 +49,10 @@ class MaterialFactors:
 
 
 def checked_parts(parts: Sequence[ScenePart]) -> list[ScenePart]:
-    """Return the parts of a scene with finite vertex colours and factors from 0 to 1.
+    """Return the parts of a scene with finite vertex colours, and with factors of materials within their limits.
 
-    Emission may exceed 1. One warning names all factors outside of these limits; they are replaced by the nearest
-    limit.
+    Base colour, metallic and roughness are from 0 to 1, and other factors are at least 0. One warning names all factors
+    outside of these limits; they are replaced by the nearest limit.
 
     Raises:
         ValueError: A factor of a material is not finite; the message names it and its material.
@@ -75,7 +76,7 @@ def checked_parts(parts: Sequence[ScenePart]) -> list[ScenePart]:
 
 
 def _checked(material: Appearance, outside: list[str]) -> Appearance:
-    """Return a material with factors from 0 to 1; add the names of factors outside of this range to ``outside``."""
+    """Return a material whose factors are within their limits; add the names of other factors to ``outside``."""
     changes: dict[str, Any] = {}
     for label, name, most in _FACTORS:
         value = getattr(material, name)
@@ -96,10 +97,10 @@ def _checked(material: Appearance, outside: list[str]) -> Appearance:
 
 
 def factors_of(appearances: Sequence[PartAppearance], not_sampled: NotSampled) -> MaterialFactors | None:
-    """Return the factors of materials; None if all materials are matte and emit no light.
+    """Return metallic, roughness and emission of materials; None if all materials are matte and emit no light.
 
     Args:
-        appearances: Appearances of materials on parts, one per row.
+        appearances: Appearances of materials on parts of the mesh. Each is one row of the result.
         not_sampled: Masks of the rows whose textures cannot be sampled.
     """
     emission = np.array([own.material.emission for own in appearances], dtype=np.float32).reshape(-1, 3)
@@ -118,8 +119,8 @@ def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], n
     """Warn of materials that emit light on faces with a height field, where the emission has no effect.
 
     Args:
-        factors: Factors of the materials.
-        rows: Row of each face that has a height field; −1 without a material.
+        factors: Factors of the materials, one row per material and part of the mesh.
+        rows: Index of the row in ``factors`` for each face that has a height field; −1 without a material.
         names: Name of the material of each row.
     """
     used = np.unique(rows[rows >= 0])
@@ -130,9 +131,10 @@ def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], n
 
 
 def _metallic_roughness(material: Appearance, *, by_mean: bool) -> tuple[float, float]:
-    """Return metallic and roughness of a material; the roughness is −1 if it is matte.
+    """Return metallic and roughness of a material; the roughness is −1 if the material is matte.
 
-    If ``by_mean`` is True, the texture cannot be sampled at points, and both factors are multiplied by its mean.
+    If ``by_mean`` is True, the material's texture cannot be sampled at points, and both factors are multiplied by the
+    mean of the texture.
     """
     if material.roughness is None:
         return 0.0, -1.0

@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from warpdiff.scene.textures import Texture, TextureImages
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Name of the attribute of ``Appearance`` that has the texture: one for metallic and roughness, one for emission.
+# Names of the attributes of ``Appearance`` that have textures: one of metallic and roughness, and one of emission.
 _Use = Literal["metallic_roughness_texture", "emission_texture"]
 
 
 def maps_of(
     parts: Sequence[tuple[ScenePart, str]], scene: SceneArrays, is_plain: NDArray[np.bool_], images: TextureImages
 ) -> MaterialMaps | None:
-    """Return the textures of metallic, roughness and emission of the plain parts of a scene; None if there are none.
+    """Return the textures of metallic, roughness and emission on parts without a height field; None without textures.
 
     Args:
         parts: Parts of the scene, and their labels for messages.
         scene: The joined parts.
-        is_plain: Whether the part of each face is plain, shape (m,).
+        is_plain: Whether the part of each face has no height field, shape (m,).
         images: Images of the scene.
     """
     used = set(scene.rows[is_plain].tolist())
@@ -61,9 +61,10 @@ def maps_of(
 def _uvs(
     parts: Sequence[tuple[ScenePart, str]], scene: SceneArrays, textures: Sequence[Texture | None], use: _Use
 ) -> NDArray[np.float64]:
-    """Return the texture coordinates of all vertices at which the textures for one use are sampled, shape (n, 2).
+    """Return for each vertex the coordinates at which a texture of emission, or of metallic and roughness, is sampled.
 
-    ``textures`` has the texture of each row, or None. Vertices without a texture have NaN.
+    The shape is (n, 2). ``textures`` has the texture of each row (one material on one part), or None. Vertices without
+    a texture have NaN.
     """
     result = np.full((len(scene.vertices), 2), np.nan)
     vertex = face = 0
@@ -110,7 +111,7 @@ class NotSampled:
         return cls(used & np.array(roughness, np.bool_), used & np.array(emission, np.bool_))
 
     def features(self, appearances: Sequence[PartAppearance]) -> dict[str, list[str]]:
-        """Return texts about the textures that cannot be sampled, by the names of the materials."""
+        """Return texts that describe the textures that cannot be sampled, for a warning, by the names of materials."""
         result: dict[str, list[str]] = {}
         for row, own in enumerate(appearances):
             texts = result.setdefault(own.material.name, [])

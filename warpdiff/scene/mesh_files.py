@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from PIL import Image
     from trimesh.resolvers import FilePathResolver
 
-# Name of the geometry of a file whose format has no names of geometries.
+# Name of the only mesh of a file whose format stores no names.
 UNNAMED = "mesh 0"
 # Size of the header of a binary .stl file, and of each of its triangles [bytes].
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
@@ -59,7 +59,7 @@ def load(path: str | os.PathLike[str]) -> list[ScenePart]:
 
 
 def _load_by_trimesh(file: Path) -> list[ScenePart]:
-    """Read a file by trimesh."""
+    """Read a mesh file by the package trimesh, and return its parts."""
     import trimesh
 
     contents: dict[str, bytes] = {}
@@ -71,7 +71,8 @@ def _load_by_trimesh(file: Path) -> list[ScenePart]:
         if suffix in (".obj", *_SINGLE):
             data, names = _rewritten(file.read_bytes(), suffix)
             source = io.BytesIO(data)
-        # With ``process=False``, trimesh does not merge vertices. Merging would break the texture along its seams.
+        # With ``process=False``, trimesh does not merge vertices. Merged vertices would have wrong texture coordinates
+        # along texture seams.
         scene = trimesh.load_scene(
             source, file_type=suffix.removeprefix("."), process=False, split_objects=True,
             resolver=_resolver(file, contents, reasons),
@@ -103,9 +104,10 @@ def _load_by_trimesh(file: Path) -> list[ScenePart]:
 
 
 def _rewritten(data: bytes, suffix: str) -> tuple[bytes, list[obj_text.PartName]]:
-    """Return the contents of a mesh file for trimesh, and for .obj files also the names of the parts.
+    """Rewrite the contents of a mesh file so that trimesh reads them correctly.
 
-    Texts are encoded in UTF-8. Concave polygons are divided into triangles.
+    Texts are encoded in UTF-8. Concave polygons are divided into triangles. The second result has the names of the
+    parts of an .obj file.
     """
     if suffix == ".obj":
         text = decoded(data).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 # A face counts as having no area if twice its area, divided by the square of its longest edge, is at most this number.
 # The value was chosen because normals of narrower faces are unreliable.
 ZERO_AREA = 1e-9
-# Distance below which vertices count as being at one position [radii of the mesh]. The value was chosen above the
+# Distance below which two vertices count as being at one position [radii of the mesh]. The value was chosen above the
 # rounding errors of float32.
 WELD = 1e-6
 # Tangents on two sides of a texture seam are averaged if the cosine of the angle between them is at least this number.
-# It is the cosine of 30°, which was chosen. Tangents with larger angles remain separate.
+# It is the cosine of 30°, a chosen value. Tangents with larger angles remain separate.
 SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 
@@ -39,7 +39,7 @@ class FaceGeometry:
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        """Compute the edges of ``faces``, shape (3, m), between ``vertices``, shape (3, n)."""
+        """Compute the edge vectors of ``faces``, shape (3, m), between positions ``vertices``, shape (3, n)."""
         self.edges = np.empty((3, *faces.shape))
         for edges, component in zip(self.edges, vertices, strict=True):
             corners = component.take(faces)
@@ -51,7 +51,7 @@ class FaceGeometry:
 
     @property
     def has_area(self) -> NDArray[np.bool_]:
-        """Whether each face has more area than a line or a point, shape (m,)."""
+        """Whether each face has an area, and is not nearly a line or a point, shape (m,)."""
         # ``products`` has, for each corner, the scalar product of the two edges that start there. The squared length of
         # an edge is the sum of the products at its two ends.
         at = self.products
@@ -77,13 +77,13 @@ class TextureGeometry:
     """Edges and orientation of faces in texture coordinates.
 
     Attributes:
-        one: Edge from the first corner to the second, shape (2, m).
-        two: Edge from the first corner to the third, shape (2, m).
+        one: Edge vector from the first corner to the second, in texture coordinates, shape (2, m).
+        two: Edge vector from the first corner to the third, in texture coordinates, shape (2, m).
         orientation: 1; −1 where the texture is mirrored; 0 where a face has no area in the texture, shape (m,).
     """
 
     def __init__(self, uvs: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        """Compute the edges of ``faces``, shape (3, m), between ``uvs``, shape (2, n)."""
+        """Compute the edges of ``faces``, shape (3, m), between the texture coordinates ``uvs``, shape (2, n)."""
         corners = uvs.take(faces, axis=1)
         self.one = corners[:, 1] - corners[:, 0]
         self.two = corners[:, 2] - corners[:, 0]
@@ -106,17 +106,17 @@ class TextureGeometry:
 
 
 def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scalar products of vectors stored by component."""
+    """Return the scalar products of pairs of vectors, whose components are along the first axis, shape (3, n)."""
     return np.asarray(np.einsum("i...,i...->...", a, b))
 
 
 def length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return lengths of vectors stored by component."""
+    """Return the lengths of vectors, whose components are along the first axis, shape (3, n)."""
     return np.asarray(np.sqrt(dot(vectors, vectors)))
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors at unit length; vectors that are zero within rounding become zero."""
+    """Return vectors scaled to unit length; vectors that are zero except for rounding errors become zero."""
     size = length(vectors)
     zero = ~(size > 1e-9)
     size[zero] = 1.0
@@ -131,12 +131,12 @@ def tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> ND
 
 
 def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return at each index the sum of the ``values`` with this index, shape (count,)."""
+    """Return for each index from 0 to ``count`` − 1 the sum of the ``values`` that have this index, shape (count,)."""
     return np.asarray(np.bincount(index.ravel(), values.ravel(), count))
 
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sorted numbers that occur in ``indices``, and the indices renumbered so that no number is unused.
+    """Return the sorted indices that occur in ``indices``, and ``indices`` renumbered as positions in this sorted list.
 
     All indices must be below ``count``.
     """
@@ -148,7 +148,7 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return a number for each vertex, which is equal for vertices at the same position.
+    """Return a number for each vertex that identifies its position: vertices at the same position have equal numbers.
 
     The second result has the indices of the vertices in the order of these numbers.
     """
@@ -219,8 +219,8 @@ def join_seams(
     directions = unit(field)
     result = field.copy()
     # Vertices are sorted by position. Each vertex is compared with the next vertex at its position, then with the
-    # vertex after that, and so on. A round of the loop makes many comparisons at once. To limit memory, the number of
-    # pairs in a round is at most about the number of vertices.
+    # vertex after that, and so on. A round of the loop makes many comparisons at once. To limit memory, a round
+    # compares at most about as many pairs of vertices as the mesh has vertices.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
         steps = max(1, count // len(start))
@@ -302,7 +302,10 @@ def any_tangents(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 def _sides_of_edges(
     faces: NDArray[np.integer[Any]], welded: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Return for each edge the two face corners at which it starts, one in each adjacent face, as flat indices."""
+    """Return for each mesh edge the corners of its two faces at which the edge starts, as indices of ``faces.ravel()``.
+
+    The result is None unless every edge has exactly two faces, which traverse the edge in opposite directions.
+    """
     start = welded.take(faces)
     end = start[[1, 2, 0]]
     edges = (np.minimum(start, end) * (int(welded.max()) + 1) + np.maximum(start, end)).ravel()
@@ -318,8 +321,8 @@ def _sides_of_edges(
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
     """Return whether the faces bound bodies, with counter-clockwise corners as viewed from outside of each body.
 
-    In such a mesh, the volume of each body is positive. Along each edge, equally many faces have the edge in one
-    direction and in the opposite direction.
+    In such a mesh, the volume of each body is positive. As many faces traverse an edge in one direction as in the
+    opposite direction.
     """
     welded = weld(vertices)[0]
     start = welded.take(faces)

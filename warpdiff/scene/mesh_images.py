@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 # Key under which the dictionary ``info`` of a Pillow image stores the reason why the image cannot be decoded.
 _DAMAGE = "warpdiff:damage"
-# Names of the image formats in Pillow that textures may have. Other decoders of Pillow do not read files of a mesh.
+# Names in Pillow of the image formats that textures may have. Textures in other formats are refused, so that no other
+# decoder of Pillow reads files from untrusted sources.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS", "MPO")
 # Pillow's image modes with an alpha channel.
 _MODES_WITH_ALPHA = ("RGBA", "RGBa", "LA", "La", "PA")
@@ -58,7 +59,7 @@ def linear_rgba(image: Image.Image, *, is_data: bool = False) -> NDArray[np.floa
 
 
 def _linear_rgba(image: Image.Image, *, is_data: bool) -> NDArray[np.float32]:
-    """Return the result of :func:`linear_rgba`, or raise an OSError whose message is the reason of the damage."""
+    """Return the result of :func:`linear_rgba`, or raise an OSError whose message states why decoding failed."""
     if damage := _damage(image):
         raise OSError(damage)
     result = np.ones((image.height, image.width, 4), np.float32)
@@ -82,7 +83,8 @@ def _linear_rgba(image: Image.Image, *, is_data: bool) -> NDArray[np.float32]:
     # Pillow converts its mode "La" to the mode "LA" only.
     source = image.convert("LA") if image.mode == "La" else image
     values = np.asarray(source.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
-    # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
+    # For speed, the sRGB transfer function is computed once for each of the 256 possible 8-bit values, not for every
+    # pixel.
     table = np.arange(256) / 255.0
     result[..., :3] = (table if is_data else srgb_decode(table)).astype(np.float32)[values[..., :3]]
     if has_alpha:

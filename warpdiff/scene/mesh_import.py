@@ -100,7 +100,7 @@ class Surface:
             that are mixed with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
-        maps: Textures of metallic, roughness and emission of plain parts; None if there are none.
+        maps: Textures of metallic, roughness and emission of parts without a height field; None if there are none.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -137,7 +137,7 @@ class Surface:
 
     @property
     def has_maps(self) -> bool:
-        """Whether any face of a plain part has a texture of metallic, roughness or emission."""
+        """Whether any face without a height field has a texture of metallic, roughness or emission."""
         return self.maps is not None
 
     @property
@@ -171,8 +171,8 @@ def prepare_surface(
             The shape (n, 3) has one direction per vertex, for a scene in the order of its nodes. The shape (3,) is one
             direction for all vertices. A text is a rule of :mod:`warpdiff.scene.direction_fields`. None takes the
             directions from the texture coordinates.
-        plain: For each key of a part, whether the part is plain. Plain parts need no tangents. None means that no part
-            is plain.
+        plain: For each key that names a part of the mesh, whether the part is plain (has no height field). Plain parts
+            need no tangents. None means that no part is plain.
 
     Returns:
         The surface.
@@ -254,7 +254,7 @@ class _FaceRoles:
     """Properties of the faces of a scene that determine how their tangents are computed.
 
     Attributes:
-        is_plain: Whether the part of each face is plain and needs no tangents, shape (m,).
+        is_plain: Whether each face has no height field and needs no tangents, shape (m,).
         objects: Number of the object of each face, shape (m,). An object is one geometry at one place.
     """
 
@@ -361,10 +361,10 @@ def _build(
 def _texture_coordinates(
     part: SceneArrays, index: NDArray[np.int64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
-    """Return the texture coordinates at vertices, 0 where undefined, and which faces have an undefined corner.
+    """Return the texture coordinates at vertices, 0 where undefined, and whether they are undefined at a face's corner.
 
-    The second result is None if all corners have texture coordinates. ``index`` has the index of each vertex in the
-    arrays of ``part``.
+    The second result is a mask of faces; None if all corners have texture coordinates. ``index`` has the index of each
+    vertex in the arrays of ``part``.
     """
     if part.uvs is None:
         return np.zeros((2, len(index))), np.ones(faces.shape[1], dtype=np.bool_)
@@ -376,7 +376,7 @@ def _texture_coordinates(
 def _explicit_field(
     tangents: TangentRule | NDArray[np.float64], body: Body, source: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the directions of a rule, or of an array with a vector for each input vertex, at the body's vertices."""
+    """Return directions at the body's vertices: by a rule such as "around-x", or from the array of the input mesh."""
     if isinstance(tangents, str):
         return direction_field(tangents, body)
     scale = np.max(np.abs(tangents), initial=0.0)

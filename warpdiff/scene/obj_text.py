@@ -24,7 +24,7 @@ _NEGATIVE = re.compile(r"^[ \t]*f[^\n]*[\s/]-\d", re.MULTILINE)
 _NAME = re.compile(r"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\n]*))?$", re.MULTILINE)
 # Matches the start of a line that is indented or has a tab, in an .obj file.
 _TABBED = re.compile(r"^(?:[ \t]|[^\n\t]*\t)", re.MULTILINE)
-# Keywords whose lines have a name. Tabs within the name are a part of it.
+# Keywords of .obj lines that contain a name of an object, group, material or file. Tabs within the name belong to it.
 _NAMING = ("o", "g", "usemtl", "mtllib")
 _AFTER_SLASH = re.compile(r"/\S*")
 
@@ -101,9 +101,9 @@ def absolute_obj(text: str) -> str:
 
 
 def numbered_obj(text: str) -> tuple[str, list[PartName]]:
-    """Return the text of an .obj file with a number for each pair of object and material, and the list of all pairs.
+    """Return the text of an .obj file whose object names are replaced by numbers, and the names for which they stand.
 
-    The numbers are in the lines ``o`` of the text. In a file without objects, groups count as objects.
+    A number stands for one object with one material. In a file without objects, groups count as objects.
     """
     kind = "o" if re.search(r"^[ \t]*o[ \t]", text, re.MULTILINE) else "g"
     numbers: dict[PartName, int] = {PartName(None, None): 0}
@@ -164,7 +164,7 @@ def triangulated_off(text: str) -> str:
 
 
 def _absolute(token: str, totals: tuple[int, ...]) -> str:
-    """Return a corner of a face with positive indices, given the numbers of lines v, vt and vn before it."""
+    """Return the text of a face's corner with positive indices; ``totals`` counts the lines v, vt and vn before it."""
     indices = token.split("/")
     for place, (index, total) in enumerate(zip(indices, totals, strict=False)):
         if index.startswith("-") and index[1:].isdigit():

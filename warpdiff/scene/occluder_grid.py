@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Limits above which a hierarchy (tree of bounding boxes) is used instead of a grid. `_MOST_CELLS` is the mean number of
 # cells that a face overlaps. `_MOST_LISTED` is the mean length of the cells' lists of faces, weighted by their length.
-# Meshes with very uneven faces exceed these limits, and a hierarchy is then faster.
+# Meshes whose faces have very different sizes exceed these limits, and a hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Number of faces that a CPU thread processes at once (a slice). Other values would change only the time.
 _SLICE = 4096
@@ -42,7 +42,7 @@ def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
 ) -> shadow_rays.ShadowGrid:
-    """Return the grid of possible occluders of a light on the CPU, from a cache, for the light's direction.
+    """Return the occluder grid (lists of faces that may block a light) for a light's direction, from a cache, on a CPU.
 
     If faces have very uneven sizes, the lists of a few grid cells would contain most of the faces. The grid is then
     empty.
@@ -65,7 +65,7 @@ def _made(
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
-    # Side of a cell. It is chosen so that the grid has about as many cells as the mesh has faces.
+    # Side of a square grid cell. It is chosen so that the grid has about as many cells as the mesh has faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
     grid = shadow_rays.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)

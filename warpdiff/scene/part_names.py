@@ -40,7 +40,7 @@ class _Part(NamedTuple):
 
 
 class NamedFaces(Protocol):
-    """Mesh whose faces have geometries and materials with names."""
+    """Mesh whose faces belong to named geometries and named materials."""
 
     @property
     def geometries(self) -> NDArray[np.int32]:
@@ -60,15 +60,15 @@ class NamedFaces(Protocol):
 
 
 def key_of_faces(surface: NamedFaces, keys: Sequence[str], argument: str) -> NDArray[np.int32]:
-    """Return for each face the index of the key that selects it.
+    """Return for each face the index of the key (name of a part of the mesh) that selects the face.
 
     A key ``geometry/material`` takes precedence over the name of a geometry or of a material. Both take precedence over
     ``"*"``.
 
     Args:
         surface: The mesh.
-        keys: Keys of parts, each once.
-        argument: Name of the argument in messages.
+        keys: Names that select parts of the mesh; all differ.
+        argument: Name of the argument that contains the keys, for messages.
 
     Returns:
         Shape (m,) for m faces.
@@ -93,7 +93,7 @@ def key_of_faces(surface: NamedFaces, keys: Sequence[str], argument: str) -> NDA
 
 
 def _check_key(key: str, parts: Sequence[_Part], argument: str) -> None:
-    """Raise an error if a key selects no part, or has two meanings."""
+    """Raise an error if a key selects no part of the mesh, or is the name of both a geometry and a material."""
     selected = [part for part in parts if part.precedence(key) is not None]
     if not selected and key != REST:
         names = [name for part in parts for name in (*part, str(part)) if name]
@@ -110,7 +110,7 @@ def _check_key(key: str, parts: Sequence[_Part], argument: str) -> None:
 
 
 def _key_of(part: _Part, keys: Sequence[str], argument: str) -> int | None:
-    """Return the index of the key that selects a part; None if no key does."""
+    """Return the index of the key that selects a part of the mesh; None if no key selects it."""
     ranked = sorted((rank, index) for index, key in enumerate(keys) if (rank := part.precedence(key)) is not None)
     if len(ranked) > 1 and ranked[0][0] == ranked[1][0]:
         raise ArgumentValueError(

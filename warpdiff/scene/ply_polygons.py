@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# NumPy's types by the names of types in the header.
+# NumPy types, by the names of number types in the header of a .ply file.
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -33,7 +33,10 @@ _INDEX_NAMES = ("vertex_index", "vertex_indices")
 
 @dataclass(frozen=True)
 class _Property:
-    """Property (column) of an element: type of its values, and for a list also the type of the length of the list."""
+    """Property (column) of an element (table) of a .ply file.
+
+    It has the type of its values, and for a list also the type of the number that states the list's length.
+    """
 
     name: str
     dtype: str
@@ -54,7 +57,11 @@ class _UnknownLayoutError(ValueError):
 
 
 def triangulated_ply(data: bytes) -> bytes:
-    """Return a .ply file; concave polygons, and mixed polygons of binary files, are replaced by triangles."""
+    """Return a .ply file in which triangles replace all polygons, if trimesh could not read the polygons correctly.
+
+    These are files with a concave polygon, and binary files whose faces have different numbers of corners. Other files
+    are returned unchanged.
+    """
     try:
         return _triangulated(data)
     except (ValueError, IndexError, KeyError, OverflowError, struct.error):
@@ -117,7 +124,7 @@ def _triangulated_text(data: bytes, begin: int, lines: list[str], vertex: _Eleme
 
 
 def _elements(lines: list[str]) -> Iterator[_Element]:
-    """Yield the elements that a header describes."""
+    """Yield the elements (tables) that the header of a .ply file describes."""
     element: _Element | None = None
     for line in lines:
         words = line.split()
@@ -134,14 +141,14 @@ def _elements(lines: list[str]) -> Iterator[_Element]:
 
 
 def _scalar(entry: _Property) -> str:
-    """Return the type of a property that is no list."""
+    """Return the type of a property whose values are numbers; raise an error if they are lists."""
     if entry.length_dtype is not None:
         raise _UnknownLayoutError
     return entry.dtype
 
 
 def _uniform_rows(data: bytes, start: int, face: _Element, order: str) -> NDArray[Any] | None:
-    """Return all rows of faces as one array, or None if their lists have different lengths."""
+    """Return the faces of a binary file as an array with one row per face; None if their lists differ in length."""
     fields: list[tuple[str, Any]] = []
     at = start
     for entry in face.properties:
@@ -165,7 +172,7 @@ def _uniform_rows(data: bytes, start: int, face: _Element, order: str) -> NDArra
 
 
 def _binary_rows(data: bytes, start: int, face: _Element, order: str) -> tuple[list[list[list[Any]]], int]:
-    """Return the values of each property of each face, and the position after the faces."""
+    """Return the values of each face by property, from a binary file, and the position of the byte after the faces."""
     rows, at = [], start
     for _ in range(face.count):
         row = []
@@ -183,7 +190,7 @@ def _binary_rows(data: bytes, start: int, face: _Element, order: str) -> tuple[l
 
 
 def _row_of_text(words: list[str], face: _Element) -> list[list[Any]]:
-    """Return the values of each property of a face from its line."""
+    """Return the values of each property of a face, from the words of its line in a text file."""
     row, at = [], 0
     for entry in face.properties:
         count = 1
@@ -203,7 +210,7 @@ def _index_of(row: list[list[Any]], face: _Element) -> list[Any]:
 
 
 def _concave(rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.float64]) -> set[int]:
-    """Return the indices of the rows of faces that are concave polygons."""
+    """Return the indices of the faces that are concave polygons."""
     indices = (_index_of(row, face) for row in rows)
     corners = {number: np.array(index) for number, index in enumerate(indices) if len(index) > 3}
     return set(polygons.concave(corners, positions))
@@ -212,9 +219,9 @@ def _concave(rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.
 def _triangles(
     rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.float64], concave: set[int]
 ) -> list[list[list[Any]]]:
-    """Return the rows of the faces after all polygons are cut into triangles.
+    """Cut all polygons into triangles, and return the property values of each triangle.
 
-    ``concave`` has the numbers of the concave polygons.
+    ``rows`` has the property values of each polygon, and ``concave`` the indices of the concave polygons.
     """
     return [
         triangle
@@ -226,7 +233,7 @@ def _triangles(
 def _triangles_of(
     row: list[list[Any]], face: _Element, positions: NDArray[np.float64], *, is_concave: bool
 ) -> list[list[list[Any]]]:
-    """Cut a polygon into triangles; return a row per triangle, with the texture coordinates of its corners."""
+    """Cut a polygon into triangles; return the property values of each, with the texture coordinates of its corners."""
     index = _index_of(row, face)
     count = len(index)
     if count < 3:
@@ -248,7 +255,7 @@ def _triangles_of(
 
 
 def _flattened(row: list[list[Any]], face: _Element) -> Iterator[Any]:
-    """Yield the values of a face in the order of the file, with the lengths of lists."""
+    """Yield the property values of a face in the order of the file. A list is preceded by its length."""
     for values, entry in zip(row, face.properties, strict=True):
         if entry.length_dtype is not None:
             yield len(values)
@@ -256,7 +263,7 @@ def _flattened(row: list[list[Any]], face: _Element) -> Iterator[Any]:
 
 
 def _packed(row: list[list[Any]], face: _Element, order: str) -> bytes:
-    """Return the row of a face as bytes of a binary file."""
+    """Return the property values of a face as bytes of a binary file."""
     code = order
     for values, entry in zip(row, face.properties, strict=True):
         if entry.length_dtype is not None:
@@ -266,6 +273,6 @@ def _packed(row: list[list[Any]], face: _Element, order: str) -> bytes:
 
 
 def _header(lines: list[str], face: _Element, count: int) -> bytes:
-    """Return the header of the file with the number of faces changed to ``count``."""
+    """Return the header of a .ply file with the number of faces changed to ``count``."""
     old = next(line for line in lines if line.split()[:2] == ["element", face.name])
     return "".join(f"{f'element {face.name} {count}' if line is old else line}\n" for line in lines).encode()

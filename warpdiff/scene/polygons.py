@@ -32,7 +32,7 @@ def are_concave(polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def concave(corners: dict[int, NDArray[np.int64]], positions: NDArray[np.float64]) -> list[int]:
-    """Return the sorted numbers of concave polygons. Polygons with an index beyond the vertices are ignored.
+    """Return the sorted numbers of concave polygons. Polygons with an index that no vertex has are ignored.
 
     Args:
         corners: Vertex indices of the corners of each polygon, by the polygon's number.
@@ -59,7 +59,8 @@ def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:
 
     normal = _normals(polygon[None])[0]
     axis = int(np.argmax(np.abs(normal)))
-    # The polygon is projected along the coordinate axis that is closest to its normal. Its orientation does not change.
+    # The polygon is projected along the coordinate axis that is closest to its normal. The projection does not change
+    # the orientation (clockwise or not) of its corners.
     first, second = (axis + 1) % 3, (axis + 2) % 3
     flat = np.ascontiguousarray(polygon[:, [first, second] if normal[axis] > 0.0 else [second, first]])
     triangles = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32))

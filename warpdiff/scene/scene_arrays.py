@@ -154,7 +154,7 @@ def _sound(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _of_part(part: ScenePart, material: Appearance, texture: Texture | None, cutoff: float) -> PartAppearance:
-    """Return the appearance of a material on a part."""
+    """Return the appearance of a material on a part of the scene."""
     of_roughness, of_emission = (
         source is not None and source.image is not None and source.uv_set in part.uvs
         for source in (material.metallic_roughness_texture, material.emission_texture)
@@ -213,7 +213,8 @@ def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) ->
 def _cutoff(appearance: Appearance, least: float) -> float:
     """Return the alpha below which rays pass through a part; see :class:`PartAppearance`.
 
-    The result is 0 (opaque) if no alpha of the part is small enough; ``least`` is the smallest one.
+    The result is 0 (opaque) if no alpha of the part is small enough to make it transparent. ``least`` is the smallest
+    alpha of the part.
     """
     if appearance.alpha_mode == "opaque":
         return 0.0
@@ -320,7 +321,7 @@ def with_missing_colours(scene: SceneArrays, is_plain: NDArray[np.bool_]) -> Sce
 def _joined_names(
     parts: list[tuple[tuple[_Name, ...], NDArray[np.int32]]],
 ) -> tuple[tuple[_Name, ...], NDArray[np.int32]]:
-    """Return the names of all parts, and for each face the index of its name among them; −1 is unchanged."""
+    """Return the distinct names of all parts, and for each face the index of its name; −1 (no name) is unchanged."""
     numbers: dict[_Name, int] = {}
     joined = []
     for names, indices in parts:

@@ -28,9 +28,9 @@ class TextureMap:
 
     Attributes:
         image: The image, whose row 0 is at v = 1; None if it cannot be read.
-        uv_set: Number of the set of texture coordinates.
+        uv_set: Number of the set of texture coordinates that the material uses; 0 is the first set.
         transform: Matrix that maps (u, v, 1) to the coordinates in the image, v upwards, shape (2, 3).
-        wrap: Continuation outside of the image along u and along v.
+        wrap: Wrap modes outside of the image, along u and along v: ``"repeat"``, ``"clamp"`` or ``"mirror"``.
     """
 
     image: Image.Image | None
@@ -89,7 +89,7 @@ class ScenePart:
         normals: Normals of the file at the vertices, of any length, shape (n, 3); None without normals.
         tangents: Directions along u and handedness (±1, −1 where the mapping is mirrored), shape (n, 4); None
             without tangents.
-        uvs: Sets of texture coordinates by number, v upwards, each of shape (n, 2).
+        uvs: Sets of texture coordinates by their number, v upwards, each of shape (n, 2).
         colours: Linear RGBA at the vertices, shape (n, 4), or None.
         source: Index of the file's vertex for each vertex, shape (n,).
         source_count: Number of vertices in the file.
@@ -148,8 +148,8 @@ def unique_names(names: Iterable[str | None], kind: str) -> list[str]:
     """
     result: list[str] = []
     used: set[str] = set()
-    # Equal names get a number in brackets. The dictionary has the last number that each name has got. The search for a
-    # free number begins after this number, so that it is fast for many equal names.
+    # Equal names get a number in brackets. The dictionary stores the last number that was appended to each name. The
+    # search for an unused number begins after it, so that the search is fast for many equal names.
     last: dict[str, int] = {}
     for index, name in enumerate(names):
         base = name or f"{kind} {index}"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def sizes(height: int, width: int) -> list[tuple[int, int]]:
-    """Return height and width of each level of a pyramid: half of the previous level, rounded up, down to 1."""
+    """Return height and width of each level of a texture pyramid: half of the previous level, rounded up, down to 1."""
     result = [(height, width)]
     while max(result[-1]) > 1:
         height, width = result[-1]
@@ -20,9 +20,9 @@ def sizes(height: int, width: int) -> list[tuple[int, int]]:
 
 
 def pyramid(texels: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    """Return all levels of the pyramid of an image, shape (h, w, channels); the first level is the image.
+    """Return all levels of the texture pyramid of an image, shape (h, w, channels); the first level is the image.
 
-    A texel of a level is the mean of the previous level over its area. Every level therefore has the same mean.
+    A texel is the mean of the previous level over the texel's area. Every level therefore has the same mean.
     """
     levels = [texels]
     for height, width in sizes(*texels.shape[:2])[1:]:
@@ -36,8 +36,8 @@ def mean_products(one: NDArray[np.float32], two: NDArray[np.float32]) -> NDArray
     Both images are interpolated bilinearly, and are repeated beyond their edges.
     """
     # At the distance x from a texel's centre, with 0 < x < 1/2 inside the texel, linear interpolation has the weight
-    # 1 − x for this texel and the weight x for its neighbour. The numbers are the means of (1 − x)², x (1 − x) and x²
-    # over this half of the texel, which are twice their integrals.
+    # 1 − x for this texel and the weight x for its neighbour. The three numbers are the means of the products of these
+    # weights, (1 − x)², x (1 − x) and x², over 0 < x < 1/2.
     own, mixed, other = 7.0 / 12.0, 1.0 / 6.0, 1.0 / 12.0
 
     def along_rows(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -68,8 +68,8 @@ def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.fl
     if before == 2 * size:
         reduced = 0.5 * (lines[0::2] + lines[1::2])
     else:
-        # The number of texels is odd: 2 n − 1 texels for n parts. Each part overlaps two texels, or three texels if it
-        # begins near the middle of a texel.
+        # The number of texels is odd: 2 n − 1 texels become n equal parts. Each part overlaps two texels, or three
+        # texels if it begins near the middle of a texel.
         edges = np.arange(size + 1) * (before / size)
         first = np.minimum(edges[:-1].astype(np.int64), before - 1)
         reduced = np.zeros((size, *lines.shape[1:]), np.float32)

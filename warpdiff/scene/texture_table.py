@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import Wrap
     from warpdiff.scene.textures import MaterialMaps, Texture
 
-# Size of a texel [bytes]: four float32. Memory per texel of an image while the smaller levels of its pyramid are made
-# [bytes]: a third of a texel for all these levels, and half of a texel for the first of them before it is halved along
-# the second axis.
+# `_BYTES_PER_TEXEL` is the size of a texel [bytes]: four float32. `_BYTES_OF_REDUCTIONS` is the memory that an image's
+# reductions to half the size require while they are made [bytes per texel of the image]. All reductions together have a
+# third of the image's texels. The first reduction has half of them before it is reduced along the second axis.
 _BYTES_PER_TEXEL, _BYTES_OF_REDUCTIONS = 16.0, 16.0 / 3.0 + 8.0
 # Codes of the wrap modes of textures, as in kernels/native/textures.h.
 _WRAPS: dict[Wrap, int] = {"repeat": 0, "clamp": 1, "mirror": 2}
@@ -36,11 +36,11 @@ def table_of(
     of_base_colour: Sequence[Texture | None], rows: NDArray[np.int32], device: wp.DeviceLike,
     maps: MaterialMaps | None = None,
 ) -> Textures:  # fmt: skip
-    """Return the textures of a scene on a device, with the pyramids of their images.
+    """Return the textures of a scene on a device, with the pyramids (reductions to half the size) of their images.
 
     Args:
-        of_base_colour: Texture of each row's base colour; None without one.
-        rows: Row of each face; −1 without a material.
+        of_base_colour: Base-colour texture of each row (one material on one part); None without one.
+        rows: Index of each face's row; −1 without a material.
         device: Warp device.
         maps: Textures of metallic, roughness and emission; None if there are none. The result does not contain their
             texture coordinates.
@@ -86,7 +86,7 @@ def table_of(
 
 
 def _require_texels(count: int, largest: int) -> None:
-    """Raise an error unless pyramids fit into memory and can be indexed.
+    """Raise an error unless texture pyramids fit into memory, and int32 can index their texels.
 
     Args:
         count: Number of texels of all pyramids.

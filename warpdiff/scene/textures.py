@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.scene_parts import TextureMap, Wrap
 
-# Memory per texel of an image [bytes]: 16 for the decoded image, 21.3 for its pyramid on the device, as much while the
-# pyramid is made, and 8 while the image is decoded. If doubled, scenes that would fit are refused.
+# Memory per texel of an image [bytes]: 16 for the decoded image, 21.3 for the image and its reductions on the device,
+# as much while these are made, and 8 while the image is decoded. If doubled, scenes that would fit are refused.
 _BYTES_PER_TEXEL = 67.0
 # Memory per texel of an image that is multiplied by a colour [bytes]: 32 in double precision, 16 for the result, and
 # about 21 on the device with its reductions. If doubled, scenes that would fit are refused.
@@ -39,7 +39,7 @@ class Texture:
 
     Attributes:
         texels: Linear RGBA, row 0 at v = 1, shape (h, w, 4), float32.
-        wrap: Continuation outside of the image along u and along v.
+        wrap: Wrap modes outside of the image, along u and along v: ``"repeat"``, ``"clamp"`` or ``"mirror"``.
     """
 
     texels: NDArray[np.float32]
@@ -64,10 +64,10 @@ class MaterialMaps:
     emission_uvs: NDArray[np.floating] | None
 
     def at(self, index: NDArray[np.int64], uvs: NDArray[np.float32]) -> MaterialMaps:
-        """Return the maps of a mesh with other vertices.
+        """Return these textures for a mesh whose vertices have been duplicated or removed.
 
         Args:
-            index: For each new vertex, the index of the present vertex from which it comes.
+            index: For each new vertex, the index of the old vertex from which it comes.
             uvs: Texture coordinates of the base colour at the new vertices, shape (n, 2).
         """
 

@@ -27,7 +27,7 @@ _MTL_MAPS = {
     "map_d": "texture of transparency", "map_pm": "texture of metallic", "map_pr": "texture of roughness",
     "map_ke": "texture of emission", "norm": "normal map", "map_bump": "bump map", "bump": "bump map",
 }  # fmt: skip
-# Alpha modes by trimesh's names of them, which are the names in glTF.
+# Alpha modes, by their names in trimesh and in glTF.
 _ALPHA_MODES: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 
 
@@ -118,7 +118,7 @@ def _name(material: Any) -> str | None:
 
 
 def _appearance(material: Any, name: str) -> Appearance:
-    """Return the appearance of a material of trimesh."""
+    """Return the appearance that a material object of trimesh describes."""
     from trimesh.visual import DEFAULT_COLOR
     from trimesh.visual.material import PBRMaterial, color_image
 
@@ -160,7 +160,7 @@ def _appearance(material: Any, name: str) -> Appearance:
     else:
         shares = np.asarray(diffuse, dtype=np.float64) / 255.0
         plain = (*srgb_decode(shares[:3]).tolist(), float(shares[3]) if len(shares) > 3 else 1.0)
-    # The plain colour of an .obj file does not multiply the texture; it replaces a texture that cannot be read.
+    # The diffuse colour (Kd) of a material does not multiply the texture. It only replaces an unreadable texture.
     return Appearance(
         name, base_colour=plain if image is None else _WHITE, base_texture=_map(image),
         fallback_colour=None if image is None else plain, **factors,
@@ -168,7 +168,7 @@ def _appearance(material: Any, name: str) -> Appearance:
 
 
 def _map(image: Image.Image | None) -> TextureMap | None:
-    """Return a texture with the default addressing (first coordinates, repeated); None without an image."""
+    """Return a texture that uses the first set of texture coordinates and is repeated; None without an image."""
     return None if image is None else TextureMap(image)
 
 
@@ -209,10 +209,10 @@ class _MtlFactors(NamedTuple):
 
     @classmethod
     def of(cls, keys: dict[str, Any], name: str) -> _MtlFactors:
-        """Return the factors of a material.
+        """Return metallic, roughness, emission and colour of a material from the values of its .mtl file.
 
         Args:
-            keys: Values of the material by lower-case keys.
+            keys: Values of the material by their keywords in the .mtl file, in lower case.
             name: Name of the material.
 
         Raises:
@@ -274,8 +274,8 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if vertices.ndim != 2 or not len(faces) or not 0 <= faces.min() <= faces.max() < len(vertices):
         return None
     corners = np.ascontiguousarray(faces.T)
-    # Normals of the input are first compared with computed normals at the vertices of a few faces. Only if these agree,
-    # all vertices are compared.
+    # The stored normals are first compared with computed normals at the vertices of a few faces. All vertices are
+    # compared only if these agree.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):

@@ -16,16 +16,17 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.gltf.gltf_buffers import Container
 
-# Component types by their number in the format.
+# NumPy types of the components of glTF arrays, by the number of the component type in the file.
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-# Number of components of an element, for the types that vertices, indices and instances use.
+# Number of components of an array element, by the name of its type in the file. Vertices, indices and instances of
+# meshes use only these types.
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-# Size of a number in the arrays that are returned [bytes]. They are float64 or int64.
+# Size of a number in the arrays that this module returns [bytes]. The numbers are float64 or int64.
 _BYTES_PER_NUMBER = 8
 
 
 def normalised(values: NDArray[Any], largest: float) -> NDArray[np.float64]:
-    """Return integers divided by the largest integer of their type; the result is at least −1."""
+    """Return integers divided by the largest integer of their type, as floats from −1 to 1."""
     return np.asarray(np.maximum(values.astype(np.float64) / largest, -1.0))
 
 
@@ -41,7 +42,7 @@ class Accessors:
         return len(self._elements)
 
     def count(self, index: int, bytes_each: float) -> int:
-        """Return the number of elements of an accessor, after a check against its buffer, or against free memory.
+        """Return the number of elements of an accessor, after a check that they fit into its buffer or free memory.
 
         Args:
             index: Index of the accessor.
@@ -53,8 +54,8 @@ class Accessors:
         if "bufferView" in accessor:
             self._rows(accessor, count, _dtype(accessor), _WIDTHS.get(accessor.text("type"), 1))
         elif (needed := bytes_each * count) > memory.available():
-            # The accessor has no data in the file that would confirm the number of elements. The error therefore does
-            # not say that the mesh is large, but that the number must be smaller: it is probably damaged.
+            # The accessor has no data in the file that would confirm the number of elements, so that the number is
+            # probably damaged. The error therefore does not say that the mesh is too large.
             accessor.refuse("count", f"must fit into memory, got {count}, which require {needed / 1e9:.2g} GB")
         return count
 
@@ -87,7 +88,7 @@ class Accessors:
         return values[:, 0].astype(np.int64)
 
     def _read(self, index: int, widths: Sequence[int]) -> NDArray[Any]:
-        """Return the numbers of an accessor in their own type, shape (n, k)."""
+        """Return the numbers of an accessor in the type that they have in the file, shape (n, k)."""
         accessor = self._elements[index]
         dtype = _dtype(accessor)
         kind = accessor.text("type")
@@ -113,13 +114,13 @@ class Accessors:
         return result
 
     def _rows(self, element: Element, count: int, dtype: np.dtype[Any], width: int) -> NDArray[Any]:
-        """Return a view of numbers in a buffer, shape (count, width), without a copy."""
+        """Return the numbers of an accessor as a view of its buffer, shape (count, width), without a copy."""
         view = element.integer("bufferView", most=len(self._container.views) - 1)
         data = self._container.view(view)
         size = dtype.itemsize * width
         offset = element.integer("byteOffset", 0)
-        # By the format, the buffer view states the stride (distance of elements), and only vertex attributes have
-        # one.
+        # In glTF, the buffer view states the stride (distance of neighbouring elements in bytes). Only buffer views of
+        # vertex attributes have a stride.
         stride = self._container.stride(view) or size
         if stride < size:
             refuse(f"bufferViews[{view}].byteStride", f"must be at least {size}, got {stride}")

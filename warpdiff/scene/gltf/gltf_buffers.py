@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _MAGIC = b"glTF"
-# Types of chunks in a .glb file, as the format states them.
+# Numbers that mark the JSON chunk and the binary chunk of a .glb file.
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-# Pattern of the start of an address with a scheme, such as "https://" or "file://".
+# Pattern of the scheme at the start of a URI, such as "https://" or "file://".
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
@@ -38,7 +38,7 @@ class Container:
     """
 
     def __init__(self, file: Path) -> None:
-        """Read the JSON of a file."""
+        """Read the JSON of a glTF file."""
         memory.require_memory(2.0 * file.stat().st_size, f"{ref('mesh')} file {file.name!r}", "use a smaller one")
         data = file.read_bytes()
         self.name = file.name
@@ -68,7 +68,7 @@ class Container:
         return buffer[begin : begin + size]
 
     def stride(self, index: int) -> int | None:
-        """Return the distance of neighbouring elements in a buffer view [bytes]; None if there are no gaps."""
+        """Return the distance of neighbouring elements in a buffer view [bytes]; None if the file states none."""
         view = self.views[index]
         return view.integer("byteStride", least=1) if "byteStride" in view else None
 
@@ -138,7 +138,7 @@ class Container:
         return self._contents[index]
 
     def _is_placeholder(self, view: Element) -> bool:
-        """Whether the buffer of a compressed view is only a placeholder without uncompressed data."""
+        """Whether the buffer of a compressed buffer view is only a placeholder without uncompressed data."""
         number = view.integer("buffer", most=len(self._buffers) - 1)
         buffer = self._buffers[number]
         return "uri" not in buffer and not (number == 0 and self._binary is not None)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.gltf.gltf_values import Element
 
 EXTENSION = "KHR_draco_mesh_compression"
-# Largest value of each integer type, by the type's number in Draco.
+# Largest value of each integer type of compressed attributes, by the number of the type in Draco files.
 _LARGEST = {1: 127.0, 2: 255.0, 3: 32767.0, 4: 65535.0}
 
 
@@ -28,7 +28,7 @@ def decoded_primitive(
     """Decode a primitive of a mesh; return the vertex indices of its triangles' corners, and its attributes by name.
 
     Args:
-        compressed: Object of the extension.
+        compressed: JSON object of the extension KHR_draco_mesh_compression.
         attributes: Indices of the accessors of the primitive's attributes, by name.
         container: Buffers of the file.
         accessors: Accessors of the file, which state the attributes whose integers are normalised.
@@ -61,7 +61,7 @@ def decoded_primitive(
             values = values.reshape(len(values), -1).astype(np.float64)
         except Exception as error:
             numbers.refuse(name, f"must be an attribute of the Draco data: {str(error) or type(error).__name__}")
-        # DracoPy returns integers as float32. The type in the file is therefore read from the attribute.
+        # DracoPy returns integers as float32. Their original type is therefore read from the attribute's description.
         is_share = name.startswith("COLOR") or accessors.is_normalised(attributes[name])
         result[name] = normalised(values, _LARGEST[kind]) if is_share and kind in _LARGEST else values
     return faces, result

@@ -39,9 +39,11 @@ _NOT_RENDERED = {
     "KHR_materials_volume": "volume",
     _SPECULAR_GLOSSINESS: "specular colour",
 }
-# Index of refraction that the format specifies for dielectric materials (appendix B). Other indices have no effect.
+# Index of refraction of dielectric materials, from appendix B of the glTF specification. Other indices that a file
+# states have no effect on pictures.
 _IOR = 1.5
-# Names of extensions of materials that are read, or that have no effect on their own.
+# Names of material extensions about which no warning is required: extensions that are read, or that have no effect on
+# their own.
 _READ = ("KHR_materials_emissive_strength", "KHR_materials_ior")
 
 
@@ -50,7 +52,7 @@ class Materials:
 
     Attributes:
         names: Names of the materials, which all differ.
-        not_read: Texts that name the textures of the file that are not read.
+        not_read: Texts about textures of the file that are not read, for a warning.
         ignored: Reasons why images are ignored, by the names of their files.
     """
 
@@ -103,14 +105,17 @@ class Materials:
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:
-        """Return the number of the set of texture coordinates of a material's normal map, to which tangents belong."""
+        """Return n for the texture coordinates TEXCOORD_n of a material's normal map, to which tangents belong."""
         reference = self._elements[index].element("normalTexture")
         return 0 if reference is None else _uv_set(reference)
 
     def _base(
         self, owner: Element, factor: str, texture: str
     ) -> tuple[tuple[float, float, float, float] | None, TextureMap | None]:
-        """Return base colour and texture. The colour is None if the file states none and no texture can be read."""
+        """Return base colour and base-colour texture of a material.
+
+        The colour is None if the file states none and no texture can be read.
+        """
         image = self._texture(owner, texture)
         if factor not in owner and (image is None or image.image is None):
             return None, image
@@ -118,7 +123,7 @@ class Materials:
         return (red, green, blue, alpha), image
 
     def _texture(self, owner: Element, name: str) -> TextureMap | None:
-        """Return the texture to which a material refers under a name, or None."""
+        """Return the texture to which the JSON member ``name`` of a material refers, or None."""
         reference = owner.element(name)
         if reference is None:
             return None
@@ -168,27 +173,28 @@ class Materials:
 
 
 def _uv_set(reference: Element) -> int:
-    """Return the number of the set of texture coordinates that a reference to a texture uses."""
+    """Return n for the texture coordinates TEXCOORD_n that a material's reference to a texture uses."""
     number = reference.integer("texCoord", 0)
     transform = reference.extension("KHR_texture_transform")
     return number if transform is None else transform.integer("texCoord", number)
 
 
 def _uv_transform(reference: Element) -> NDArray[np.float64]:
-    """Return the transform of texture coordinates of a reference to a texture, v upwards, shape (2, 3)."""
+    """Return the transform of texture coordinates that a reference to a texture states, v upwards, shape (2, 3)."""
     transform = reference.extension("KHR_texture_transform")
     if transform is None:
         return identity_transform()
     (u0, v0), (su, sv) = transform.numbers("offset", (0.0, 0.0)), transform.numbers("scale", (1.0, 1.0))
     angle = transform.number("rotation", 0.0)
     cosine, sine = math.cos(angle), math.sin(angle)
-    # The format states the six numbers of this matrix for v downwards. Here v is upwards, and replaces 1 − v.
+    # The glTF extension defines this matrix for texture coordinates with v downwards. Here v points upwards, so that v
+    # is replaced by 1 − v on both sides.
     a, b, d, e = cosine * su, sine * sv, -sine * su, cosine * sv
     return np.array([[a, -b, b + u0], [-d, e, 1.0 - e - v0]])
 
 
 def _wrap(sampler: Element, name: str) -> Wrap:
-    """Return the continuation of a texture outside of its image."""
+    """Return the wrap mode of a texture, which continues it outside of its image: repeat, clamp or mirror."""
     kind = sampler.integer(name, 10497)
     if kind not in _WRAPS:
         sampler.refuse(name, f"must be one of {', '.join(map(str, _WRAPS))}, got {kind}")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Measured peak memory while a mesh without normals is read and prepared [bytes per corner of a triangle]; a mesh with
 # normals requires 160. If doubled, meshes that would fit are refused.
 BYTES_PER_CORNER = 540.0
-# Modes of primitives that are read, by their number in the format: list, strip and fan of triangles.
+# Numbers in glTF files of the primitive modes that are read: list, strip and fan of triangles.
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _UV_SET = re.compile(r"TEXCOORD_([0-7])")
 
@@ -145,7 +145,7 @@ class Meshes:
         return appearance
 
     def _normal_uv_set(self, primitive: Element) -> int:
-        """Return the number of the set of texture coordinates to which the tangents of a primitive belong."""
+        """Return n for the texture coordinates TEXCOORD_n of a primitive's normal map, to which its tangents belong."""
         number = primitive.index("material", len(self._materials))
         return 0 if number is None else self._materials.normal_uv_set(number)
 
@@ -166,7 +166,7 @@ class Meshes:
 
 
 def _widths(name: str) -> tuple[int, ...]:
-    """Return the accepted numbers of components of an attribute; an empty tuple if the attribute is not read."""
+    """Return the accepted numbers of components of a vertex attribute; an empty tuple if the attribute is not read."""
     if _UV_SET.fullmatch(name):
         return (2,)
     return {"POSITION": (3,), "NORMAL": (3,), "TANGENT": (4,), "COLOR_0": (3, 4)}.get(name, ())
@@ -181,8 +181,8 @@ def _faces(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
         faces[1::2] = faces[1::2][:, [1, 0, 2]]
     else:
         faces = np.stack([np.broadcast_to(corners[:1], max(len(corners) - 2, 0)), corners[1:-1], corners[2:]], axis=1)
-    # Strips repeat vertices to join separate strips. The triangles between them have no area on purpose and are
-    # removed.
+    # A triangle strip repeats vertices to join separate parts of a mesh. The triangles between two parts have no area
+    # on purpose and are removed.
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return np.asarray(faces[distinct])
 
@@ -198,7 +198,7 @@ def _tangents_of_base(part: ScenePart, normal_uv_set: int) -> NDArray[np.float64
     """Return the tangents of a part along u of its base-colour texture, shape (n, 4); None if they are not known.
 
     Tangents in a file are along u of the normal map. If the base colour uses the same set of texture coordinates, the
-    tangents are rotated by the transform of the base-colour texture. Otherwise they have no known relation to its u.
+    tangents are rotated by the transform of the base-colour texture. Otherwise their relation to its u is not known.
     """
     if part.tangents is None or part.normals is None:
         return None
@@ -218,7 +218,7 @@ def _tangents_of_base(part: ScenePart, normal_uv_set: int) -> NDArray[np.float64
 
 
 def _flat(part: ScenePart) -> ScenePart:
-    """Return a part without normals with face normals. By the format, tangents of the file are then ignored."""
+    """Add face normals to a part whose file states no normals. Tangents of the file are dropped, as glTF requires."""
     separate = replace(part, tangents=None).with_separate_corners()
     first, second, third = (separate.vertices[corner::3] for corner in range(3))
     with np.errstate(all="ignore"):  # vertices that are not finite are refused later

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from warpdiff.scene.gltf.gltf_values import Element
     from warpdiff.scene.scene_parts import ScenePart
 
-# Names of extensions that a file may require, apart from those of materials. Some are read. Some do not change
-# triangles, texture coordinates and base colours. For the others, a warning names the objects of the file that use
-# them.
+# Names of glTF extensions that a file may require, apart from those of materials. Some extensions are read. Some do not
+# change triangles, texture coordinates and base colours. For the others, a warning names the objects of the file that
+# use them.
 _ACCEPTED = {
     "EXT_lights_ies", "EXT_lights_image_based", "EXT_mesh_gpu_instancing", "EXT_texture_avif", "EXT_texture_webp",
     "KHR_animation_pointer", "KHR_draco_mesh_compression", "KHR_lights_punctual", "KHR_mesh_quantization",
@@ -61,7 +61,7 @@ def load(file: Path) -> list[ScenePart]:
 
 
 def _check_version(root: Element) -> None:
-    """Raise an error for another version of the format than 2, and for required extensions that are not supported."""
+    """Raise an error for a glTF version other than 2, and for required extensions that are not supported."""
     version = root.stated_element("asset").text("version")
     if not version.startswith("2"):
         raise ArgumentValueError(f"{ref('mesh')} must be glTF of version 2.0, got version {version[:20]!r}")

@@ -12,10 +12,11 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Largest magnitude of a number. The value is limited because products of larger numbers could overflow.
+# Largest accepted magnitude of a number in a glTF file. It is limited because products of larger numbers could
+# overflow.
 _MOST_NUMBER = 1e100
-# Largest integer. The value is limited because JSON has numbers of double precision, which do not represent all larger
-# integers exactly.
+# Largest accepted integer in a glTF file. It is limited because JSON has numbers of double precision, which do not
+# represent all larger integers exactly.
 _MOST_INTEGER = 2**53
 
 
@@ -36,10 +37,10 @@ def _shown(value: object) -> str:
 
 
 class Element:
-    """JSON object with its path in the file.
+    """JSON object of a glTF file, with its path in the file.
 
-    The methods return the value of the object that has the name ``name``, after a check of its type and range. An error
-    about a value names the path of the value.
+    The methods return the member ``name`` of the object, after a check of its type and range. An error about a value
+    names the path of the value.
     """
 
     __slots__ = ("place", "values")
@@ -55,7 +56,7 @@ class Element:
         return name in self.values
 
     def where(self, name: str) -> str:
-        """Return the path of one of the values of the object."""
+        """Return the path of the JSON member ``name`` in the file, such as ``nodes[3].mesh``."""
         return f"{self.place}.{name}" if self.place else name
 
     def refuse(self, name: str, rule: str) -> NoReturn:
@@ -63,24 +64,27 @@ class Element:
         refuse(self.where(name), rule)
 
     def integer(self, name: str, default: int | None = None, *, least: int = 0, most: int = _MOST_INTEGER) -> int:
-        """Return an integer from ``least`` to ``most``; an error is raised if the file and ``default`` state none."""
+        """Return the JSON member ``name``, an integer from ``least`` to ``most``, or ``default``.
+
+        An error is raised if the file does not state the member and there is no default.
+        """
         if name not in self.values and default is not None:
             return default
         return self._integer(self._stated(name), self.where(name), least, most)
 
     def index(self, name: str, count: int) -> int | None:
-        """Return the index of one of ``count`` elements, or None if the file states none."""
+        """Return the JSON member ``name``, an index from 0 to ``count`` − 1, or None if the file states none."""
         return self.integer(name, most=count - 1) if name in self.values else None
 
     def indices(self, name: str, count: int) -> list[int]:
-        """Return a list of indices of ``count`` elements; an empty one if the file states none."""
+        """Return the JSON member ``name``, a list of indices from 0 to ``count`` − 1; empty if the file states none."""
         return [
             self._integer(value, f"{self.where(name)}[{number}]", 0, count - 1)
             for number, value in enumerate(self._list(name))
         ]
 
     def number(self, name: str, default: float, *, least: float = -_MOST_NUMBER, most: float = _MOST_NUMBER) -> float:
-        """Return a finite number from ``least`` to ``most``, or ``default`` if the file states none."""
+        """Return the JSON member ``name``, a number from ``least`` to ``most``; ``default`` if the file states none."""
         if name not in self.values:
             return default
         value = self._number(self.values[name], self.where(name))
@@ -89,7 +93,10 @@ class Element:
         return value
 
     def numbers(self, name: str, default: Sequence[float] | None = None) -> list[float]:
-        """Return a list of finite numbers: as many as ``default`` has, or any number of them without a default."""
+        """Return the JSON member ``name``, a list of finite numbers, or ``default`` if the file states none.
+
+        The list must be as long as ``default``. Without a default, it may have any length.
+        """
         if default is not None and name not in self.values:
             return list(default)
         values = self._list(name)
@@ -98,14 +105,14 @@ class Element:
         return [self._number(value, f"{self.where(name)}[{number}]") for number, value in enumerate(values)]
 
     def text(self, name: str, default: str = "") -> str:
-        """Return a string, or ``default`` if the file states none."""
+        """Return the JSON member ``name``, a string, or ``default`` if the file states none."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
             self.refuse(name, f"must be a string, got {_shown(value)}")
         return str(value)
 
     def texts(self, name: str) -> list[str]:
-        """Return a list of strings; an empty one if the file states none."""
+        """Return the JSON member ``name``, a list of strings; empty if the file states none."""
         values = self._list(name)
         for number, value in enumerate(values):
             if not isinstance(value, str):
@@ -113,26 +120,26 @@ class Element:
         return values
 
     def flag(self, name: str, default: bool) -> bool:
-        """Return a truth value, or ``default`` if the file states none."""
+        """Return the JSON member ``name``, a truth value, or ``default`` if the file states none."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             self.refuse(name, f"must be true or false, got {_shown(value)}")
         return value
 
     def element(self, name: str) -> Element | None:
-        """Return a JSON object, or None if the file states none."""
+        """Return the JSON member ``name``, a JSON object, or None if the file states none."""
         return Element(self.values[name], self.where(name)) if name in self.values else None
 
     def stated_element(self, name: str) -> Element:
-        """Return a JSON object; raise an error if the file states none."""
+        """Return the JSON member ``name``, a JSON object; raise an error if the file states none."""
         return Element(self._stated(name), self.where(name))
 
     def elements(self, name: str) -> list[Element]:
-        """Return a list of JSON objects; an empty one if the file states none."""
+        """Return the JSON member ``name``, a list of JSON objects; empty if the file states none."""
         return [Element(value, f"{self.where(name)}[{number}]") for number, value in enumerate(self._list(name))]
 
     def extension(self, name: str) -> Element | None:
-        """Return the object of an extension, or None if the file does not use it here."""
+        """Return the JSON object of a glTF extension in this object, or None if the extension is not used here."""
         extensions = self.element("extensions")
         return None if extensions is None else extensions.element(name)
 
@@ -168,7 +175,7 @@ class Element:
 
 
 def parsed(data: bytes) -> Element:
-    """Return the JSON object that is the text of a file."""
+    """Parse the text of a glTF file, and return it as a JSON object."""
     try:
         return Element(json.loads(decoded(data)), "")
     except ArgumentValueError:
