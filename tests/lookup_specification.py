@@ -23,7 +23,7 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Constants of the rules that approximate footprints: the ranges of (u, v) that pixels cover.
+# Constants of the approximations for footprints, which are the ranges of (u, v) that pixels cover.
 # ``kernels/native/footprint_lookup.h`` has equal constants and explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
@@ -34,8 +34,8 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Constants of the rules that add rings: circles of constant |(u, v)| in a table. ``kernels/native/ring_sum.h`` has
-# equal constants and explains them.
+# Constants that choose the rings to sum over. A ring is a circle of constant |(u, v)| in a table of colours.
+# ``kernels/native/ring_sum.h`` has equal constants and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -65,7 +65,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def row_at(table: Colours, level: wp.int32, azimuth: wp.int32, ring: wp.int32) -> row_t:
-        """Return the table row at one mip level, azimuth index and ring index."""
+        """Return the coefficients (row) of the table at one mip level, azimuth index and ring index."""
         octave = ring // table.rings_per_octave
         first = table.first_rows[level, octave] + azimuth * table.rings_per_octave
         return table.rows[first + ring - octave * table.rings_per_octave]
@@ -78,7 +78,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def w_basis_at(table: Colours, w: wp.float32) -> w_basis_t:
-        """Return the basis functions of w at |w|, by cubic interpolation between four table entries."""
+        """Return the basis functions of w at |w|, by cubic interpolation between four of their tabulated values."""
         steps = wp.max((w - table.least_w) * table.per_w, 0.0)
         entry = wp.clamp(wp.int32(steps) - 1, 0, table.w_basis.shape[0] - 4)
         t = steps - wp.float32(entry) - 1.0

@@ -69,7 +69,7 @@ class Series:
         wavenumbers: 1/λ [1/µm], shape (m,).
         colours: Contribution of each wavelength to XYZ, shape (m, 3).
         neighbour_extent: Number of neighbouring coefficients on either side of the central one.
-        shift: Number that is added to a position before floor(): 0, or 0.5 to round.
+        shift: Number that is added to the position (u, v)/λ·L before floor(): 0, or 0.5 to round.
         powers: Whether powers |H|² are summed (averaged window), instead of amplitudes H (centred window).
     """
 
@@ -90,7 +90,7 @@ def series(
     heightfield: wd.HeightField, coherence: wd.Coherence, *,
     wavelengths: int, terms: int, neighbour_extent: int, rounded: bool, centred: bool,
 ) -> Series:  # fmt: skip
-    """Compute the series of a height field for one setting.
+    """Compute the Taylor series of a height field's Fourier coefficients for one setting.
 
     Args:
         heightfield: Height field.
@@ -98,7 +98,7 @@ def series(
         wavelengths: Number of wavelengths between 380 and 780 nm.
         terms: Number of terms of the Taylor series, n = 0 … terms − 1.
         neighbour_extent: Number of neighbouring coefficients on either side of the central one, 0 to 4.
-        rounded: Whether the central coefficient is found by rounding, instead of by floor().
+        rounded: Whether the position (u, v)/λ is rounded to the central coefficient, instead of by floor().
         centred: Whether heights are relative to the middle of their range, instead of to the lowest height.
 
     Returns:

@@ -100,7 +100,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
+    """Return times and errors by name, each a list [median, minimum, maximum over the rounds, unit]."""
     result: dict[str, list[Any]] = {}
     for body, by_method in results.items():
         for name, figure in by_method.items():

@@ -1,4 +1,4 @@
-"""Scenes of the charts. Times, errors and previews of a scene are those of the pixels of one picture."""
+"""Scenes of the charts. Times, errors and previews of a scene are those of the pixels of one picture of it."""
 
 from __future__ import annotations
 

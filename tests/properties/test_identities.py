@@ -21,7 +21,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 @pytest.fixture(scope="module")
 def rough():
-    """Return a square patch of random fingers, whose spectrum is non-zero along both axes."""
+    """Return a square patch of random finger-like bumps, whose Fourier spectrum is non-zero along both axes."""
     return wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7)
 
 
@@ -48,7 +48,7 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
 
 
 def kernel_gain(lights, views, normal, masking, device):
-    """Return the gains C·M of pairs of directions, computed by the kernel for pixels with one light per pixel."""
+    """Return the gains C·M of n lights and n views, computed by the kernel for n pixels with one light per pixel."""
     reflection = light_samples.Reflection()
     reflection.masking = masking
     count = len(lights)

@@ -1,8 +1,8 @@
 """Refinement: subdivided pixels with uneven colours must equal those of a picture with many rays per pixel.
 
 A pixel is divided into subpixel cells, each with its own ray. With footprints, a cell has the mean colour over the
-scattering vectors that it covers; without footprints, it is a point sample. A plan has the numbers of a computation,
-and may use a table of colours.
+scattering vectors that it covers; without footprints, it is a point sample. A plan states how colours are computed: the
+method, the number of wavelengths and so on. It may use a table of colours.
 """
 
 import dataclasses

@@ -1,6 +1,7 @@
 """Pictures with several surfaces: each part of a mesh must have the colours of its own surface, in a common unit.
 
-The unit is the light that a perfect mirror shows. A plan has the numbers of the computation for one surface.
+The unit is the light that a perfect mirror shows. A plan states how the colours of one surface are computed: the
+method, the number of wavelengths and so on.
 """
 
 import math

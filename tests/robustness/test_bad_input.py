@@ -17,8 +17,8 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# The plan (numbers of a computation) is for a single direction. Such a plan needs no search and is made quickly; every
-# test process imports this file.
+# The plan (method, number of wavelengths and so on) is for a single direction. It is therefore made without a search
+# for these numbers, and quickly; every test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -226,7 +226,7 @@ SAVES = [
 
 
 def changed(**fields):
-    """Return a copy of ``PLAN`` with other values in some fields."""
+    """Return a copy of the plan ``PLAN`` with other values in some of its fields."""
     return dataclasses.replace(PLAN, **fields)
 
 

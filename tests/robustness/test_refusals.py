@@ -36,7 +36,15 @@ from warpdiff.request.settings import SinglePictureSettings
 
 
 class Row(NamedTuple):
-    """An invalid request: front end, request, name of the argument, pattern of the expected rule, and message."""
+    """Request with one invalid argument, and the error message with the pattern that it must match.
+
+    Attributes:
+        front: Way of the request: Python, command line or viewer.
+        request: Text of the request.
+        word: Name of the argument in the message.
+        rule: Pattern of the rule that the message must state.
+        message: Function that makes the request and returns the message.
+    """
 
     front: str
     request: str

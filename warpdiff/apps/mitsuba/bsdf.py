@@ -148,7 +148,7 @@ class _Table:
         return (share * (entries - 1) + 0.5) / entries
 
     def zeroth_at(self, value: Variant) -> Variant:
-        """Return the zeroth order's power at a value of κ = w/λ, or its colour at a value of w in RGB variants."""
+        """Return the zeroth order's power at a value of κ = w/λ; in RGB variants, its colour at a value of w."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
@@ -233,10 +233,10 @@ def _colours(filename: str) -> _Table:
 
 
 def _bsdf_class(table_of: Variant) -> Variant:
-    """Return the plug-in's class for Mitsuba's current variant.
+    """Return the class of the BSDF plug-in for Mitsuba's current variant.
 
     Args:
-        table_of: Function that returns the table of a file, given its name.
+        table_of: Function that returns the table of baked colours or powers in a file, given the file's name.
     """
     import drjit as dr
     import mitsuba as mi
@@ -257,7 +257,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             self.m_flags = flags
 
         def _scales(self, si: Variant) -> list[Variant]:
-            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm, or 1 in RGB variants."""
+            """Return the factors from grid coordinates to (u, v): the ray's wavelengths [µm]; 1 in RGB variants."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]
@@ -356,7 +356,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
         def to_string(self) -> str:
-            """Return the plug-in's name and the table's size."""
+            """Return the name of the plug-in and the size of its table of baked colours or powers."""
             return f"WarpdiffBSDF[{self._table.size} × {self._table.size} cells]"
 
     return WarpdiffBSDF

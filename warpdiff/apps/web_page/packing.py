@@ -22,7 +22,7 @@ class Arrays:
     """Arrays of a page with their names, concatenated to one sequence of bytes.
 
     Attributes:
-        entries: Table of contents for the page: name, type, shape, first byte and number of bytes of each array.
+        entries: Table of contents of the bytes: name, type, shape, first byte and number of bytes of each array.
     """
 
     def __init__(self) -> None:
