@@ -203,7 +203,7 @@ def messages():
 
 
 def main():
-    """Write all files."""
+    """Write all files from which fuzzing starts."""
     sys.path.insert(0, str(CORPUS.parents[1]))
     from bench.dev.fuzz_targets import TARGETS
 

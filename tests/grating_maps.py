@@ -37,7 +37,7 @@ def card(
 def parts_of(
     grating_map: wd.GratingMap, coherence: wd.Coherence
 ) -> tuple[trimesh.Scene, dict[str, wd.Surface], NDArray[np.float64]]:
-    """Return the reference of a map: a scene with one part per dot, height fields by part, and tangents by vertex.
+    """Return the reference of a grating map: a scene of one part per dot, heights by part, and tangents by vertex.
 
     The height field of a part has the scaled depth and pitch of the dot. Its tangents are turned.
     """

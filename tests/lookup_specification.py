@@ -60,7 +60,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     """Return a kernel with the same arguments as ``colour_lookup.lookup(w_basis_size, source).integrate``."""
     fast = colour_lookup.lookup(w_basis_size, source)
     Colours, FootprintTaps, row_t, w_basis_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.w_basis  # noqa: N806
-    # Vector type for weighted sums of table rows, with the sum of the weights as its last element.
+    # Vector type for weighted sums of rows of the colour table, with the sum of the weights as its last element.
     row_w_t = wp.types.vector(length=3 * w_basis_size + 1, dtype=wp.float32)
 
     @wp.func
@@ -91,7 +91,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
-        """Return XYZ of a sum of table rows at the component w of the scattering vector.
+        """Return XYZ from a sum of table rows (coefficients) at the component w of the scattering vector.
 
         Splines can give slightly negative results, which become 0.
         """
@@ -160,7 +160,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def sum_of_azimuths(
         table: Colours, taps: FootprintTaps, ring: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
     ) -> row_t:
-        """Return the mean of one ring's rows over a Gaussian of azimuths with the variance ``angle2``.
+        """Return the mean of the table rows of one ring over a Gaussian of azimuths with the variance ``angle2``.
 
         The rows are those of the last mip level whose blur has at most the variance ``level_of``.
         """
@@ -295,7 +295,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, footprint: wp.mat22f) -> wp.vec3f:
-        """Return the mean colour over a wide Gaussian of (u, v): a sum of table rows, weighted by its density."""
+        """Return the mean colour over a wide Gaussian of (u, v): a sum of table rows, weighted by the Gaussian."""
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
         covariance = footprint + 0.25 / (table.rings_per_log * table.rings_per_log) * wp.outer(middle, middle)
@@ -347,7 +347,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether the table cannot give the colour of a direction.
+        """Return whether the colour table cannot give the colour of a direction.
 
         It cannot if the direction is within the inner radius of the table, or if the footprint is narrower than the
         blur that the rows of the table already have. A footprint may be split along the azimuth into ``parts`` parts.
@@ -363,7 +363,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.kernel(module="unique", module_options=options(max_unroll=1))
     def integrate(
-        # Table, directions and footprints, read by this kernel. ``run`` directions are processed per thread.
+        # Colour table, directions and footprints, which this kernel reads. A thread processes ``run`` directions.
         table: Colours,
         scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
@@ -372,8 +372,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         taps: FootprintTaps,
         run: wp.int32,
         first: wp.int32,
-        # Sums over the directions, written by this kernel: the gain (geometry factor and masking) of directions whose
-        # colour the table cannot give, and XYZ.
+        # Results for each direction, written by this kernel: the gain (geometry factor and masking) if the table cannot
+        # give the colour, and XYZ.
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):

@@ -29,12 +29,11 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# Largest spatial frequency |(u, v)|/λ [1/µm] for which coefficients are stored: light and view at the horizon on the
-# same side, at 380 nm.
+# Largest spatial frequency |(u, v)|/λ [1/µm] for which Fourier coefficients are stored: light and view are at the
+# horizon on the same side, and λ is 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Largest accepted ``neighbour_extent``, which is the number of neighbouring coefficients on each side of the central
-# one. The value is limited by memory: the stored block of coefficients extends by this number beyond the largest
-# frequency.
+# Largest accepted ``neighbour_extent``, the number of neighbouring Fourier coefficients on each side of the central
+# one. Memory limits the value: the stored block of coefficients extends by this number beyond the largest frequency.
 MOST_REACH = 4
 
 # Setting of the publication (Single 2014): 81 wavelengths, terms n = 0 … 36 of the Taylor series, and 3 × 3 Fourier

@@ -30,8 +30,8 @@ SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
 # Seed of the random positions of crops (small parts of pictures), and number of crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the frames of point samples. The value was derived: it is half of the smallest tolerance of the refined
-# frames. The reference is computed with a third of this value as its tolerance.
+# Tolerance of frames that are rendered with point samples. The value was derived: it is half of the smallest tolerance
+# of the refined frames. The reference is computed with a third of this value as its tolerance.
 TABLE = 1e-2
 
 

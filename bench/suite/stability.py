@@ -52,7 +52,7 @@ BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
     "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",
 )  # fmt: skip
 DOTTED, DASHED = (0, (1, 1.2)), (0, (4, 2))
-# Styles of the curves, by the groups of the legend.
+# Styles of the curves in the chart, by the group and the name of a curve in the legend.
 STYLES: dict[str, dict[str, dict[str, object]]] = {
     "Automatic choice": {
         AUTOMATIC: {"color": "black", "linewidth": 3.0, "zorder": 10},

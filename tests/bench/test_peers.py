@@ -19,7 +19,7 @@ FINE = {"wavelengths": 544, "terms": 16, "neighbour_extent": 1, "rounded": True,
 
 
 def runs(peer):
-    """Return a peer, or skip the test if it cannot run on this machine."""
+    """Return a peer (another program in the benchmarks), or skip the test if the peer cannot run on this machine."""
     if reason := peer.available():
         pytest.skip(reason)
     return peer

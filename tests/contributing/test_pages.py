@@ -117,7 +117,7 @@ WITH_PROFILE = (
 # This test compiles kernels in a copy of the package, which takes 15 s.
 @pytest.mark.slow
 def test_the_light_of_the_page_about_lights_can_be_added_to_the_library(tmp_path):
-    """The test adds the source files that the page prints to a copy of the package.
+    """The test adds the source files of a light, which the page prints, to a copy of the package.
 
     import-linter must find no broken rule, and the command line must accept the light by its name.
     """

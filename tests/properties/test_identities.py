@@ -223,7 +223,7 @@ def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
 def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     """The plane h = x·tan 5° must reflect normally incident light to θr = −10°.
 
-    The plane is repeated as a sawtooth. The height H of its steps is such that κH is an integer, so that phases are
+    The plane is repeated as a sawtooth. The height H of its steps is such that H·w/λ is an integer, so that phases are
     continuous at the steps.
     """
     wavelength, slope = 0.5, math.copysign(math.tan(math.radians(5.0)), cycles)

@@ -25,8 +25,8 @@ def log_uniform(low, high):
 def height_fields(draw):
     """Return a random height field: rough, smooth or flat, at most 0.6 µm high, with 1 to 24 samples per axis.
 
-    Higher fields would require more terms of the series, and each number of terms compiles another kernel. They are
-    tested in tests/planner/test_regimes.py.
+    Higher fields would require more terms of the Taylor series, and each number of terms compiles another kernel. They
+    are tested in tests/planner/test_regimes.py.
     """
     ny, nx = draw(st.one_of(
         st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),

@@ -123,8 +123,8 @@ def test_the_colours_of_several_lights_add_up(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # All pictures use the same plan (numbers of wavelengths and terms). With separate plans, the wavelengths would
-    # depend on the lights of each picture.
+    # All pictures use the same plan (method, number of wavelengths and so on). With separate plans, the wavelengths
+    # would depend on the lights of each picture.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
     # A picture with one light is refined until it meets the tolerance. With several lights, only the sum must meet the

@@ -108,7 +108,7 @@ def prepared(folder: Path) -> Iterator[None]:
         yield
 
 
-# Invalid arguments in Python
+# The code below makes calls in Python that have one invalid argument each.
 
 # Objects of classes that require kernels, made without initialisation. The tests only need methods of these objects to
 # refuse their arguments.
@@ -119,7 +119,7 @@ BARE = {
 
 
 def changed_plan(**fields: object) -> wd.Plan:
-    """Return a plan (numbers of wavelengths and terms) for one direction, with other values in some fields."""
+    """Return a plan (method, number of wavelengths and so on) for one direction, with other values in some fields."""
     return dataclasses.replace(wd.plan(fuzz.HEIGHTFIELD, fuzz.UP, fuzz.UP), **fields)
 
 
@@ -352,7 +352,7 @@ def error_of_command(line: list[str]) -> str:
     return text.removeprefix(f"warpdiff {line[0]}: ") if code == 2 else f"exit code {code}: {text}"
 
 
-# Invalid values in the viewer
+# The code below makes requests of the viewer's page that have one invalid value each.
 
 
 def viewer_rows() -> Iterator[Row]:

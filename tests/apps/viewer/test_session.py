@@ -152,7 +152,7 @@ def test_a_released_control_is_refined_immediately(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # If a control changes without a preceding movement (a drag), the first picture is an unrefined preview.
+            # If a control changes without a preceding drag, the first picture is an unrefined preview.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)

@@ -94,8 +94,8 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 class _Table:
     """Table of a baked spectrum (powers) or of baked lobes (colours), in arrays of Mitsuba's current variant.
 
-    The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The power (or colour) at a point of
-    the grid is a sum of functions, each of which is multiplied by a coefficient of this point. The argument of the
+    The table is a square grid with the coordinates q = (u, v)/λ for a spectrum, and (u, v) for colours. The power (or
+    colour) at a grid point is a sum of functions, each multiplied by a coefficient of this point. The argument of the
     functions is κ = w/λ for a spectrum and w for colours.
 
     Attributes:
@@ -154,7 +154,7 @@ class _Table:
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
 
     def coefficients(self, x: Variant, y: Variant) -> Variant:
-        """Return the interpolated coefficients at the coordinates (x, y) of the grid."""
+        """Return the interpolated coefficients of the table at the coordinates (x, y) of its grid."""
         import mitsuba as mi
 
         scale = 0.5 / self.largest
@@ -167,13 +167,13 @@ class _Table:
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
     def gaussian(self, x: Variant, y: Variant) -> Variant:
-        """Return the density of the zeroth order's Gaussian peak (lobe) at the coordinates (x, y) of the grid."""
+        """Return the density of the zeroth order's Gaussian lobe at the coordinates (x, y) of the table's grid."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Return the probability density with which the sampling selects the coordinates (x, y) of the grid."""
+        """Return the probability density with which sampling selects the coordinates (x, y) of the table's grid."""
         import drjit as dr
         import mitsuba as mi
 
@@ -202,9 +202,10 @@ def _spectrum(filename: str) -> _Table:
 
 
 def _colours(filename: str) -> _Table:
-    """Return the table of RGB variants, over (u, v) and w, from a file of ``BakedLobes``.
+    """Return the table of colours for RGB variants, over (u, v) and w, from a file of ``BakedLobes``.
 
-    The channels of the grid are red, green and blue of the first function, then those of the second, and so on.
+    The channels of its grid are the coefficients of the first basis function for red, green and blue, then those of the
+    second, and so on.
     """
     import mitsuba as mi
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Largest number of shots. It was chosen so that a sequence of one hour is possible, which has 86,400 frames at 24
 # frames per second. A shot requires a few kilobytes.
 MOST_SHOTS = 100_000
-# Largest number of turns. It was chosen because a larger number is probably an angle in degrees.
+# Largest number of turns of a turntable or of moving lights. A larger number is probably an angle in degrees.
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
 Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]

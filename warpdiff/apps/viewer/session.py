@@ -242,7 +242,7 @@ class Studio:
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:
-                        # After a movement (a drag), the last preview is refined at once if it has the full size.
+                        # After a drag, the last preview is refined at once if it has the full size.
                         # Otherwise, a preview of the full size comes first.
                         session.stage = int(len(session.picture[0].mask) == request.values["height"])
                     if session.stage > pictures:

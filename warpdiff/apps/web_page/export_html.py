@@ -283,9 +283,8 @@ def _defined_normals(surface: Surface) -> Any:
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     """Store the baked lobes (table of colours over all directions) in the arrays of the page.
 
-    The arrays are the coefficients, the functions of w, and the power of the zeroth order.
-
-    The functions of w are stored in groups of four, one group per texel.
+    The arrays are basis functions of w, their coefficients for each (u, v), and the power of the zeroth order. Four
+    functions share a texel.
 
     Returns:
         The entries of the page's header that describe the baked lobes.
