@@ -174,8 +174,8 @@ LEGAL_OF |= {
     "rigorous_order_efficiencies": {"heightfield": wd.gratings.lamellar(1.0, 0.1, samples=8), "layers": 1},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
-# Arguments of single public functions whose legal values must be new objects in each call, with functions that make the
-# values. They override ``LEGAL_BY_CALL``.
+# Arguments of single public functions, with functions that make a legal value of the argument for each call. They
+# override ``LEGAL_BY_CALL``.
 LEGAL_OF_BY_CALL = {
     "fit": {"profile": trapezoid, "measured": measured},
     "design": {"profile": lambda: wd.profiles.Pixels(0.5, np.zeros((1, 4))), "targets": lambda: [orders_target()]},

@@ -131,7 +131,7 @@ def _is_plane(data: ReportData, table: Table) -> bool:
 
 
 def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
-    """Return HTML table rows of the strongest orders at each wavelength, and the number of orders that have no row."""
+    """Return table rows of the strongest diffraction orders per wavelength, and the number of orders without a row."""
     columns = table.columns
     is_period = "order" in columns
     has_periods = is_period and len(np.unique(columns["period_um"])) > 1

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.render.renderer import Renderer
     from warpdiff.request.settings import DisplaySettings
 
-# Number of times that a frame, or the pickled renderer, is sent to workers again after a worker failed. The number is
+# Number of times that a frame, or the pickled renderer, is sent to workers again after a worker was lost. The number is
 # limited so that a worker that always crashes ends the sequence. If doubled, the error of such a sequence appears
 # later.
 _RETRIES = 5

@@ -48,7 +48,7 @@ class Rotation:
         return np.asarray(np.eye(3) + math.sin(self.angle) * cross + (1.0 - math.cos(self.angle)) * cross @ cross)
 
     def rotated(self, lights: Sequence[Light]) -> tuple[Light, ...]:
-        """Return copies of the lights, rotated. Environment lights can rotate about +y or −y only."""
+        """Return the lights after the rotation. Environment lights can rotate about +y or −y only."""
         if self.angle == 0.0:
             return tuple(lights)
         return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
