@@ -121,7 +121,7 @@ def reflectance_of(optics, cosine, wavelength_nm):
 
 
 def spectral_reflectance(p, kind, wavelength_nm, *, masking, widths=11.0):
-    """Return the relative reflectance ρ at one wavelength for the parameters ``p`` of the surface and the directions.
+    """Return the relative reflectance ρ at one wavelength, for the parameters ``p`` (surface and directions).
 
     The result is a sum over Fourier coefficients, each weighted by a Gaussian of its distance from (u, v)/λ. The sum
     includes distances up to ``widths`` standard deviations of the Gaussian.
@@ -189,9 +189,9 @@ def rise(cosine):
 def order_efficiencies(p, orders, wavelength_nm, *, normalised):
     """Return the efficiencies of orders (m_y, m_x), all of which propagate.
 
-    Normalised efficiencies have prescribed sums. They are computed from a matrix of efficiencies with one row per
-    incident direction and one column per order. The rows and the columns are scaled alternately to their sums, 3,000
-    times.
+    Normalised efficiencies have prescribed sums over orders and over incident directions. They are computed from a
+    matrix of efficiencies, with one row per incident direction and one column per order. Its rows and columns are
+    scaled alternately to these sums, 3,000 times.
     """
     heights = p["heights_um"] * p.get("height_scale", 1.0)
     ny, nx = heights.shape

@@ -56,7 +56,7 @@ def scan(scan_path):
 
 @pytest.fixture(scope="session")
 def fingers():
-    """Return a patch with random elongated bumps (fingers), 12.8 µm wide. Its orders overlap under short windows."""
+    """Return a surface, 12.8 µm wide, of random finger-like bumps. Its orders overlap for short coherence windows."""
     import warpdiff as wd
 
     return wd.gratings.fingers(size_um=12.8, seed=4)
@@ -103,7 +103,7 @@ def pytest_unconfigure():
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
-    """Store the argument of each mark ``permanent(row)``. The report of a soak test has one line of counts per row."""
+    """Store the name ``row`` of each mark ``permanent(row)``, under which the report of a soak test counts attempts."""
     for item in items:
         if marker := item.get_closest_marker("permanent"):
             item.user_properties.append(("row", marker.args[0]))

@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, seed, settings
 _T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))
 IS_SOAK = _END > 0.0
-# Random seed of the test run. Each soak test uses a different one.
+# Random seed of this run of the tests. Each run of ``make soak`` sets a different seed.
 SEED = int(os.environ.get("WARPDIFF_SOAK_SEED", "0"))
 _until = _END
 
@@ -44,7 +44,7 @@ def seconds_left() -> float:
 
 
 class Tries:
-    """Counter of the attempts of one test, for the report of a soak test."""
+    """Counter of the attempts (repetitions with random inputs) of one test, for the report of a soak test."""
 
     def __init__(self) -> None:
         self.number = 0

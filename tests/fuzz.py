@@ -74,7 +74,7 @@ def strategy(option: Option) -> st.SearchStrategy:
 
 
 def _of_its_kind(option: Option) -> st.SearchStrategy:
-    """Return a strategy for values of the type that an option expects, including extreme values and its limits."""
+    """Return a Hypothesis strategy for values of an option's type, including extreme values and the option's limits."""
     simple = {
         "flag": st.sampled_from([0, 1, "yes", "no", np.bool_(0), True, False]),
         "choice": st.sampled_from([*option.choices, *SPELLINGS, "x"]),
@@ -91,8 +91,8 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     if option.kind in simple:
         return simple[option.kind]
     one = COUNTS if option.kind.startswith("integer") else NUMBERS
-    # Counts at their upper limit are legal but slow. Therefore only the next larger count is tested, which must be
-    # refused.
+    # A count, such as a number of wavelengths, is legal but slow at its upper limit. Therefore only the next larger
+    # count is tested, which must be refused.
     steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is COUNTS else (0, 1)}
     limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
     one = st.one_of(one, st.sampled_from(limits)) if limits else one
@@ -174,8 +174,8 @@ LEGAL_OF |= {
     "rigorous_order_efficiencies": {"heightfield": wd.gratings.lamellar(1.0, 0.1, samples=8), "layers": 1},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
-# Functions that make a legal value of an argument for each call. The values are those of single functions, and override
-# ``LEGAL_BY_CALL``.
+# Arguments of single public functions, with functions that make a legal value of the argument for each call. They
+# override ``LEGAL_BY_CALL``.
 LEGAL_OF_BY_CALL = {
     "fit": {"profile": trapezoid, "measured": measured},
     "design": {"profile": lambda: wd.profiles.Pixels(0.5, np.zeros((1, 4))), "targets": lambda: [orders_target()]},

@@ -147,7 +147,7 @@ def gltf_scenes():
 
 
 def tables():
-    """Write files of materials, measurements, cameras, plans (numbers of computations) and exported colours."""
+    """Write files of materials, measurements, cameras, plans (methods of computation) and exported colours."""
     head = "REFERENCES: |\n    A. Author, 2000\nDATA:\n"
     files = {
         "index/table.yml": head + "  - type: tabulated nk\n    data: |\n        0.38 1.5 0.1\n        0.78 1.4 0.2\n",
@@ -172,7 +172,7 @@ def tables():
 
 
 def layouts():
-    """Write a layout of a height field, and one with paths, labels, properties and arrays of another cell."""
+    """Write a GDSII layout of a height field, and one with paths, labels, properties and arrays of another cell."""
     wd.gratings.lamellar(2.0, 0.1, samples=8).save("gds/foil.gds")
     inner = gdstk.Cell("INNER")
     inner.add(gdstk.rectangle((0, 0), (1, 2), layer=1), gdstk.FlexPath([(2, 0), (2, 3), (4, 3)], 0.5, layer=2))
@@ -203,7 +203,7 @@ def messages():
 
 
 def main():
-    """Write all files."""
+    """Write all files from which fuzzing starts."""
     sys.path.insert(0, str(CORPUS.parents[1]))
     from bench.dev.fuzz_targets import TARGETS
 

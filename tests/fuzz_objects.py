@@ -1,4 +1,4 @@
-"""Objects for fuzzed arguments: legal and malformed surfaces, meshes, lights, cameras and results, as strategies."""
+"""Hypothesis strategies for fuzzed arguments: legal and malformed surfaces, meshes, lights, cameras and results."""
 
 import contextlib
 import dataclasses
@@ -50,7 +50,7 @@ def axes():
 
 @functools.cache
 def simple_plan() -> wd.Plan:
-    """Return a plan (numbers of a computation) for one direction, which is made without a kernel."""
+    """Return a plan (method, number of wavelengths and so on) for one direction, which is made without a kernel."""
     return wd.plan(HEIGHTFIELD, UP, UP, coherence=SHORT)
 
 
@@ -227,12 +227,12 @@ _TOPOGRAPHIES = [
 
 
 def trapezoid():
-    """Return a profile with few parameters."""
+    """Return a trapezoidal grating profile, which has few parameters."""
     return wd.profiles.Trapezoid(0.1, 0.5, 0.02, 1.0)
 
 
 def measured():
-    """Return measured efficiencies of a grating."""
+    """Return measured efficiencies of five diffraction orders of a grating."""
     return wd.Measured.orders(
         (0.2, 0.0, 1.0), 300.0, [(0, m) for m in (-2, -1, 0, 1, 2)], [0.001, 0.01, 0.02, 0.01, 0.001]
     )
@@ -240,7 +240,7 @@ def measured():
 
 @functools.cache
 def fitted():
-    """Return the result of a fit."""
+    """Return the result of a fit of a grating profile to measured order efficiencies."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         return wd.fit(trapezoid(), measured(), sd=0.01, starts=1)
@@ -248,12 +248,12 @@ def fitted():
 
 @functools.cache
 def designed():
-    """Return the result of a design."""
+    """Return the result of an inverse design: heights that reflect light into two given orders."""
     return wd.design(wd.profiles.Pixels(0.2, np.zeros((1, 8))), [orders_target()], starts=1)
 
 
 def orders_target():
-    """Return a target of two orders."""
+    """Return the target of a design: equal power in two diffraction orders."""
     return wd.Target.equal([(0, -1), (0, 1)], UP, 500.0)
 
 

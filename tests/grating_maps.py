@@ -37,7 +37,7 @@ def card(
 def parts_of(
     grating_map: wd.GratingMap, coherence: wd.Coherence
 ) -> tuple[trimesh.Scene, dict[str, wd.Surface], NDArray[np.float64]]:
-    """Return the reference of a map: a scene with one part per dot, height fields by part, and tangents by vertex.
+    """Return the reference of a grating map: a scene of one part per dot, heights by part, and tangents by vertex.
 
     The height field of a part has the scaled depth and pitch of the dot. Its tangents are turned.
     """
@@ -62,9 +62,9 @@ def parts_of(
 
 
 def error_of(image: wd.Image, reference: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return relative errors of the XYZ of illuminated pixels.
+    """Return relative errors of the XYZ of illuminated pixels, compared with a reference picture.
 
-    They are relative to the norm of XYZ, or to 0.001 of the 99th percentile of Y if that is larger.
+    They are relative to the norm of the reference's XYZ, or to 0.001 of the 99th percentile of Y if that is larger.
     """
     lit = image.illuminated & (image.coverage > 0.999)
     xyz, exact = image.xyz[lit].astype(np.float64), reference[lit].astype(np.float64)

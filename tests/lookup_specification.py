@@ -23,7 +23,7 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Constants of the rules that approximate footprints: the ranges of (u, v) that pixels cover.
+# Constants of the approximations for footprints, which are the ranges of (u, v) that pixels cover.
 # ``kernels/native/footprint_lookup.h`` has equal constants and explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
@@ -34,8 +34,8 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Constants of the rules that add rings: circles of constant |(u, v)| in a table. ``kernels/native/ring_sum.h`` has
-# equal constants and explains them.
+# Constants that choose the rings to sum over. A ring is a circle of constant |(u, v)| in a table of colours.
+# ``kernels/native/ring_sum.h`` has equal constants and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -60,12 +60,12 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     """Return a kernel with the same arguments as ``colour_lookup.lookup(w_basis_size, source).integrate``."""
     fast = colour_lookup.lookup(w_basis_size, source)
     Colours, FootprintTaps, row_t, w_basis_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.w_basis  # noqa: N806
-    # Vector type for weighted sums of table rows, with the sum of the weights as its last element.
+    # Vector type for weighted sums of rows of the colour table, with the sum of the weights as its last element.
     row_w_t = wp.types.vector(length=3 * w_basis_size + 1, dtype=wp.float32)
 
     @wp.func
     def row_at(table: Colours, level: wp.int32, azimuth: wp.int32, ring: wp.int32) -> row_t:
-        """Return the table row at one mip level, azimuth index and ring index."""
+        """Return the coefficients (row) of the table at one mip level, azimuth index and ring index."""
         octave = ring // table.rings_per_octave
         first = table.first_rows[level, octave] + azimuth * table.rings_per_octave
         return table.rows[first + ring - octave * table.rings_per_octave]
@@ -78,7 +78,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def w_basis_at(table: Colours, w: wp.float32) -> w_basis_t:
-        """Return the basis functions of w at |w|, by cubic interpolation between four table entries."""
+        """Return the basis functions of w at |w|, by cubic interpolation between four of their tabulated values."""
         steps = wp.max((w - table.least_w) * table.per_w, 0.0)
         entry = wp.clamp(wp.int32(steps) - 1, 0, table.w_basis.shape[0] - 4)
         t = steps - wp.float32(entry) - 1.0
@@ -91,7 +91,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
-        """Return XYZ of a sum of table rows at the component w of the scattering vector.
+        """Return XYZ from a sum of table rows (coefficients) at the component w of the scattering vector.
 
         Splines can give slightly negative results, which become 0.
         """
@@ -160,7 +160,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def sum_of_azimuths(
         table: Colours, taps: FootprintTaps, ring: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
     ) -> row_t:
-        """Return the mean of one ring's rows over a Gaussian of azimuths with the variance ``angle2``.
+        """Return the mean of the table rows of one ring over a Gaussian of azimuths with the variance ``angle2``.
 
         The rows are those of the last mip level whose blur has at most the variance ``level_of``.
         """
@@ -295,7 +295,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, footprint: wp.mat22f) -> wp.vec3f:
-        """Return the mean colour over a wide Gaussian of (u, v): a sum of table rows, weighted by its density."""
+        """Return the mean colour over a wide Gaussian of (u, v): a sum of table rows, weighted by the Gaussian."""
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
         covariance = footprint + 0.25 / (table.rings_per_log * table.rings_per_log) * wp.outer(middle, middle)
@@ -347,7 +347,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether the table cannot give the colour of a direction.
+        """Return whether the colour table cannot give the colour of a direction.
 
         It cannot if the direction is within the inner radius of the table, or if the footprint is narrower than the
         blur that the rows of the table already have. A footprint may be split along the azimuth into ``parts`` parts.
@@ -363,7 +363,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.kernel(module="unique", module_options=options(max_unroll=1))
     def integrate(
-        # Table, directions and footprints, read by this kernel. ``run`` directions are processed per thread.
+        # Colour table, directions and footprints, which this kernel reads. A thread processes ``run`` directions.
         table: Colours,
         scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
@@ -372,8 +372,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         taps: FootprintTaps,
         run: wp.int32,
         first: wp.int32,
-        # Sums over the directions, written by this kernel: the gain (geometry factor and masking) of directions whose
-        # colour the table cannot give, and XYZ.
+        # Results for each direction, written by this kernel: the gain (geometry factor and masking) if the table cannot
+        # give the colour, and XYZ.
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):

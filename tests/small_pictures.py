@@ -49,8 +49,8 @@ def _by_surface(of_fields, of_maps):
 def draw_roughly(monkeypatch):
     """Make views small, and computations fast but inaccurate.
 
-    Tolerances are large, coherence windows are short, fits have two starts, and searches of designs end after few
-    iterations.
+    Tolerances are large, coherence windows are short, fits start from two initial guesses, and searches for designs end
+    after few iterations.
     """
     window = wd.Coherence(sigma_um=1.5)
     monkeypatch.setattr(wd, "View", SmallView())

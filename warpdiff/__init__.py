@@ -9,9 +9,10 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 - ``profiles``: surfaces with a few parameters
 - ``datasets``: published measurements, downloaded on demand
 - ``diffraction``: series of exp(2πiκh) and their Fourier coefficients
-- ``request``: plans (numbers of a computation, such as wavelengths and terms of a series) and ranges of directions
+- ``request``: plans (choice of a method, numbers of wavelengths and of series terms) and ranges of directions
 - ``image``: pictures and their files; ``scene``: meshes and cameras
-- ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
+- ``tables``: tables of Fourier coefficients and of colours on a device; ``planner``: plans that meet a tolerance
+- ``lights``: light sources
 - ``evaluate``: reflectance at arrays of directions; ``baked``: tables for other renderers
 - ``adjoint``: exact derivatives of orders, spectra and colours; ``fitting``: fits of measured data
 - ``plot``: plots of height fields and results with matplotlib

@@ -8,10 +8,10 @@ Programs that compute colours from scattering vectors (u, v, w) and geometry fac
 - ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.
 
 Each module has ``available()``, ``SETTINGS`` and ``prepare(heightfield, coherence, **setting)``. ``available()``
-returns None, or the reason why the program cannot run. ``SETTINGS`` are choices of numbers such as the number of
-wavelengths, ordered from cheap to accurate. ``prepare`` returns a function ``shade(scattering_vectors, gains,
-threads)`` that returns XYZ (n, 3). ``scattering_vectors`` (n, 3) and ``gains`` (n,) are float64. The first call with a
-number of directions may compile the function: call it once before you time it.
+returns None, or the reason why the program cannot run. ``SETTINGS`` is a list of settings, such as the number of
+wavelengths, from cheap to accurate. ``prepare`` returns a function ``shade(scattering_vectors, gains, threads)`` that
+returns XYZ (n, 3). ``scattering_vectors`` (n, 3) and ``gains`` (n,) are float64. The first call with a new number n of
+directions may compile the function: call it once before you time it.
 
 Programs that trace rays:
 

@@ -55,7 +55,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
     Returns:
         A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3). The
-        first call with a number of directions compiles the function.
+        first call with a new number n of directions compiles the function.
     """
     import drjit as dr
     from drjit.llvm import Float
@@ -94,8 +94,8 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # `factors` has the factors of the Taylor series that depend on λ. Its second column is the linear factor 2πa/λ,
-    # where a is the scale of the heights. Division by 1/λ gives 2πa.
+    # `factors` has the factors of the Taylor series that depend on the wavelength λ. Its second column is the linear
+    # factor 2πa/λ, where a is the scale of the heights. Division by 1/λ gives 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 

@@ -141,10 +141,10 @@ def _exp(x):
 
 @functools.cache
 def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
-    """Return the compiled kernel for fixed numbers of terms of the series and of neighbouring coefficients."""
+    """Return the compiled kernel for fixed numbers of Taylor terms and of neighbouring Fourier coefficients."""
     side = 2 * neighbour_extent + 1
     # Three neighbouring coefficients are processed at a time. A loop with a shorter body would be unrolled before it
-    # could be vectorised. If the number of coefficients is no multiple of three, the last entries have the weight 0.
+    # could be vectorised. If their number is no multiple of three, coefficients with weight 0 complete the last group.
     triples = math.ceil(side * side / 3)
     zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(neighbour_extent)
 
@@ -186,7 +186,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def kernel(
-        # Arrays with Fourier coefficients, quadrature and directions, which this kernel reads.
+        # Arrays that this kernel reads: Fourier coefficients, wavelengths with their weights, and directions.
         rows, count_x, origin_y, origin_x, length_y, length_x, across, along, factors, wavenumbers, colours, shift,
         scattering_vectors, gains,
         # Array with XYZ of the directions, shape (n, 3), which this kernel writes.

@@ -29,12 +29,11 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# Largest spatial frequency |(u, v)|/λ [1/µm] for which coefficients are stored: light and view at the horizon on the
-# same side, at 380 nm.
+# Largest spatial frequency |(u, v)|/λ [1/µm] for which Fourier coefficients are stored: light and view are at the
+# horizon on the same side, and λ is 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Largest accepted ``neighbour_extent``, which is the number of neighbouring coefficients on each side of the central
-# one. The value is limited by memory: the stored block of coefficients extends by this number beyond the largest
-# frequency.
+# Largest accepted ``neighbour_extent``, the number of neighbouring Fourier coefficients on each side of the central
+# one. Memory limits the value: the stored block of coefficients extends by this number beyond the largest frequency.
 MOST_REACH = 4
 
 # Setting of the publication (Single 2014): 81 wavelengths, terms n = 0 … 36 of the Taylor series, and 3 × 3 Fourier
@@ -69,7 +68,7 @@ class Series:
         wavenumbers: 1/λ [1/µm], shape (m,).
         colours: Contribution of each wavelength to XYZ, shape (m, 3).
         neighbour_extent: Number of neighbouring coefficients on either side of the central one.
-        shift: Number that is added to a position before floor(): 0, or 0.5 to round.
+        shift: Number that is added to the position (u, v)/λ·L before floor(): 0, or 0.5 to round.
         powers: Whether powers |H|² are summed (averaged window), instead of amplitudes H (centred window).
     """
 
@@ -90,7 +89,7 @@ def series(
     heightfield: wd.HeightField, coherence: wd.Coherence, *,
     wavelengths: int, terms: int, neighbour_extent: int, rounded: bool, centred: bool,
 ) -> Series:  # fmt: skip
-    """Compute the series of a height field for one setting.
+    """Compute the Taylor series of a height field's Fourier coefficients for one setting.
 
     Args:
         heightfield: Height field.
@@ -98,7 +97,7 @@ def series(
         wavelengths: Number of wavelengths between 380 and 780 nm.
         terms: Number of terms of the Taylor series, n = 0 … terms − 1.
         neighbour_extent: Number of neighbouring coefficients on either side of the central one, 0 to 4.
-        rounded: Whether the central coefficient is found by rounding, instead of by floor().
+        rounded: Whether the position (u, v)/λ is rounded to the central coefficient, instead of by floor().
         centred: Whether heights are relative to the middle of their range, instead of to the lowest height.
 
     Returns:

@@ -66,8 +66,8 @@ def available() -> str | None:
 def grating_um(heightfield: wd.HeightField) -> float:
     """Return the grating period d along x [µm], from the strongest order.
 
-    Scans have noise with a power that falls as 1/frequency, so that low frequencies would always win. The power of each
-    order is therefore multiplied by its frequency before the comparison.
+    Scans have noise with a power that falls as 1/frequency, so that an order of low frequency would always be the
+    strongest. The power of each order is therefore multiplied by its frequency before the comparison.
     """
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))
@@ -116,7 +116,7 @@ def prepare(
 
 
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
-    """Return powers |H_n0|² of the orders n = −7 … 7 at equal steps of κ = w/λ, 0 to −2/0.38 /µm, shape (NODES, 15).
+    """Return powers |H_n0|² of orders n = −7 … 7 at equal steps of κ = w/λ from 0 to −2/0.38 /µm, shape (NODES, 15).
 
     The frequency of order n is n/d, where d is the distance of the tracks. The frequencies of the height field's orders
     are multiples of 1/Lx, where Lx is its length. The order with the nearest frequency is used.

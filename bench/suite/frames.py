@@ -30,8 +30,8 @@ SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
 # Seed of the random positions of crops (small parts of pictures), and number of crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the frames of point samples. The value was derived: it is half of the smallest tolerance of the refined
-# frames. The reference is computed with a third of this value as its tolerance.
+# Tolerance of frames that are rendered with point samples. The value was derived: it is half of the smallest tolerance
+# of the refined frames. The reference is computed with a third of this value as its tolerance.
 TABLE = 1e-2
 
 
@@ -100,7 +100,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
+    """Return times and errors by name, each a list [median, minimum, maximum over the rounds, unit]."""
     result: dict[str, list[Any]] = {}
     for body, by_method in results.items():
         for name, figure in by_method.items():

@@ -1,11 +1,11 @@
 """Speed against accuracy on a scene's pixels: methods and peers (other programs) at several settings.
 
-The charts also show the automatic choice of the library. Errors are relative to the float64 reference: ‖ΔXYZ‖ /
-max(‖XYZ‖, f), where f is a thousandth of the reference luminance (``bench.truth.errors``), and ΔE2000 with an exposure
-that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier call, so
-that they include neither compilation nor preparation. A call has so many pixels that it takes about a tenth of a
-second. The preparation for a new height field is timed separately, without compilation. It computes a plan, Fourier
-coefficients and a colour table. A plan is a method with its numbers, such as wavelengths and terms of a series.
+The charts also show the method that the library chooses automatically. Errors are relative to the float64 reference:
+‖ΔXYZ‖ / max(‖XYZ‖, f), where f is a thousandth of the reference luminance (``bench.truth.errors``), and ΔE2000 with an
+exposure that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier
+call, so that they include neither compilation nor preparation. A call has so many pixels that it takes about a tenth of
+a second. The preparation for a new height field is timed separately, without compilation. It computes a plan, Fourier
+coefficients and a colour table. A plan is a method with its numbers of wavelengths, series terms and so on.
 
 A coherence is the limit within which light interferes, for example a Gaussian window on the surface.
 """
@@ -66,7 +66,7 @@ STYLES = {
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
-    """Return a function that computes colours of directions by a plan (method and numbers) of warpdiff.
+    """Return a function that computes colours by a plan of warpdiff (method, number of wavelengths and so on).
 
     The function has the same arguments as the functions ``shade`` of ``bench.peers``.
     """
@@ -145,7 +145,7 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return plans (numbers of wavelengths, terms and so on) for the illuminated pixels of a scene.
+    """Return plans (method, number of wavelengths and so on) for the illuminated pixels of a scene.
 
     The keys of the dictionary are pairs (method, tolerance).
     """
@@ -245,9 +245,9 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by the name of the quantity.
+    """Return times and errors by the name of the quantity, each a list [median, minimum, maximum, unit].
 
-    Each entry is a list: median, minimum and maximum over the rounds, and unit.
+    Median, minimum and maximum are over the rounds of the timing.
     """
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
@@ -333,7 +333,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
 
 
 def _at(curve: dict[str, Any], error: float) -> int | None:
-    """Return the index of a curve's fastest point whose 99th percentile of errors is at most ``error``, or None."""
+    """Return the index of a curve's fastest setting whose 99th percentile of errors is at most ``error``, or None."""
     good = [k for k, p99 in enumerate(curve["p99"]) if p99 <= error]
     return min(good, key=lambda k: curve["us"][k][0]) if good else None
 

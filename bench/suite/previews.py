@@ -65,9 +65,8 @@ def measure(setting: Setting) -> dict[str, Any]:
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Return errors of the peers (other programs), relative to warpdiff, by name.
 
-    The values are the median and the 99th percentile (P99) over the pixels of a scene. Each entry is a list that has
-    the form of the other charts' entries: the value, the value twice more instead of a minimum and a maximum, and the
-    unit.
+    The values are the median and the 99th percentile (P99) over the pixels of a scene. Each value is stored as a list
+    [value, value, value, unit], because other charts have lists [median, minimum, maximum, unit].
     """
     return {
         f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]

@@ -22,7 +22,7 @@ JUDGED = 1000
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return rays per second of all programs, with one thread and with all threads, and the errors of their hits."""
+    """Return the rays per second and the errors of the hits of all programs, with one thread and with all threads."""
     from bench.peers import raycasters
 
     setting.say("rays")
@@ -61,7 +61,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return rates and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
+    """Return ray rates and errors by name, each a list [median, minimum, maximum over the rounds, unit]."""
     result: dict[str, list[Any]] = {}
     for name, figure in results["casters"].items():
         for threads, rate in figure["mrays"].items():

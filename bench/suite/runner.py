@@ -33,9 +33,9 @@ PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab",
 )  # fmt: skip
-# Least relative change of a number between two runs for which the comparison lists the number. The change must also
-# exceed the spread over the timed rounds of both runs. The value was chosen because smaller changes are noise of the
-# machine.
+# Smallest relative change of a benchmark result between two runs at which the comparison lists the result. The change
+# must also exceed the spread over the timed rounds of both runs. The value was chosen because smaller changes are noise
+# of the machine.
 LEAST_CHANGE = 0.1
 
 

@@ -44,7 +44,7 @@ FRAMES = 5
 
 
 def x_of(series: str, value: float) -> float:
-    """Return the position on the x axis for a value of the parameter."""
+    """Return the position on the x axis for a value of the parameter that the curve ``series`` varies."""
     if series == "pixels":
         return value * value * 0.75
     if series == "samples":
@@ -118,8 +118,8 @@ def measure(setting: Setting) -> dict[str, Any]:
         setting.say(f"scaling: {name}")
         points = []
         for value in chosen:
-            # Some parameters change the number of terms of the series, so that other kernels must be compiled. Such
-            # points are measured twice, and the second measurement is used.
+            # Some parameters change the number of terms of the Taylor series, so that other kernels must be compiled.
+            # Such points are measured twice, and the second measurement is used.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
                 result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
@@ -141,7 +141,7 @@ def exponent(x: list[float], y: list[float]) -> float:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and memory by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
+    """Return times and memory by name, each a list [median, minimum, maximum over the rounds, unit]."""
     result: dict[str, list[Any]] = {}
     for name, points in results.items():
         for point in points:

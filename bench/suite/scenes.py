@@ -1,4 +1,4 @@
-"""Scenes of the charts. Times, errors and previews of a scene are those of the pixels of one picture."""
+"""Scenes of the charts. Times, errors and previews of a scene are those of the pixels of one picture of it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Directions(NamedTuple):
     gains: np.ndarray
 
     def subset(self, count: int) -> Directions:
-        """Return at most ``count`` of the directions, evenly spaced in their order."""
+        """Return at most ``count`` of the directions, at equal steps in the list of all directions."""
         chosen = np.linspace(0, len(self.gains) - 1, min(count, len(self.gains))).astype(int)
         return Directions(*(array[chosen] for array in self))
 

@@ -1,4 +1,4 @@
-"""Stability chart: errors of methods and of the automatic choice in eight regimes, one panel each.
+"""Stability chart: errors of methods and of the automatic choice of a method in eight regimes, one panel each.
 
 A regime is a range of one parameter in which some methods fail. A panel is a diagram of the chart.
 
@@ -52,7 +52,7 @@ BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
     "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",
 )  # fmt: skip
 DOTTED, DASHED = (0, (1, 1.2)), (0, (4, 2))
-# Styles of the curves, by the groups of the legend.
+# Styles of the curves in the chart, by the group and the name of a curve in the legend.
 STYLES: dict[str, dict[str, dict[str, object]]] = {
     "Automatic choice": {
         AUTOMATIC: {"color": "black", "linewidth": 3.0, "zorder": 10},
@@ -78,7 +78,7 @@ STYLES: dict[str, dict[str, dict[str, object]]] = {
         NEAREST: {"color": CYAN},
     },
 }  # fmt: skip
-# Ends of the axis of errors in the charts.
+# Smallest and largest error on the error axis of the charts.
 LEAST, MOST = 1e-9, 30.0
 TINT = "#fbe3e0"
 
@@ -139,7 +139,7 @@ def draw(panels: list[Panel], folder: Path) -> None:
 
 
 def written(tick: float) -> str:
-    """Return the text of an axis tick."""
+    """Return the text at an axis tick, for a value on the x axis."""
     return f"{tick:g}" if tick >= 2e-3 else f"$10^{{{round(math.log10(tick))}}}$"
 
 
@@ -176,8 +176,8 @@ def measure(setting: Setting) -> dict[str, Any]:
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the errors of the library's automatic choice of a method, one error per value of the x axis, by name.
 
-    Each entry is a list that has the form of the other charts' entries: the error, the error twice more instead of a
-    minimum and a maximum, and the unit.
+    Each error is stored as a list [error, error, error, unit], because other charts have lists [median, minimum,
+    maximum, unit].
     """
     return {
         f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]

@@ -74,25 +74,25 @@ class Panel(NamedTuple):
 
 
 class Points:
-    """Errors by curve and x value, and the x values at which the library's automatic choice refuses or warns."""
+    """Errors by curve and x value, and the x values for which the library refuses to choose a method, or warns."""
 
     def __init__(self) -> None:
         self._points: list[dict[str, float]] = []
         self.warned: dict[str, list[int]] = {}
 
     def start(self) -> None:
-        """Begin the points at the next value of the chart's x axis."""
+        """Begin the next value on the x axis of the chart; errors are then added to this value."""
         self._points.append({})
 
     def add(self, name: str, error: float) -> None:
-        """Set the error of a curve at the present value on the x axis. The larger of several errors counts."""
+        """Set the error of a curve at the present value on the x axis, unless it already has a larger error there."""
         self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
 
     def automatic(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
-        """Evaluate the library's automatic choice, and add the error of its colours at the present x value."""
+        """Compute colours by the library's automatic choice of a method, and add their error at the present x value."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
         xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:
@@ -139,7 +139,7 @@ class Points:
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Return the panel of the height range: errors of all series of exp(2πiκh), in float32 and in float64."""
+    """Return the panel (diagram) of errors over the height range, of all series expansions of exp(2πiκh)."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -175,7 +175,7 @@ def height_range(which: slice = ALL) -> Panel:
 
 
 def window_width(which: slice = ALL) -> Panel:
-    """Return the panel of the width of the coherence window.
+    """Return the panel (diagram) of errors over the width of the coherence window.
 
     3 × 3 Fourier coefficients are too few for short windows, and fixed wavelengths are too coarse for long windows.
     """
@@ -194,7 +194,7 @@ def window_width(which: slice = ALL) -> Panel:
 
 
 def patch_size(which: slice = ALL) -> Panel:
-    """Return the panel of the patch size. 3 × 3 Fourier coefficients are too few for large patches.
+    """Return the panel (diagram) of errors over the patch size. 3 × 3 Fourier coefficients fail for large patches.
 
     Sums over fixed wavelengths at steps of 5 nm miss diffraction orders, whatever the size of the patch is.
     """
@@ -218,7 +218,7 @@ def tilted_up(directions: np.ndarray) -> np.ndarray:
 
 
 def order_rate(which: slice = ALL) -> Panel:
-    """Return the panel of the distance from the mirror direction.
+    """Return the panel (diagram) of errors over the distance from the mirror direction.
 
     Fixed wavelengths are too coarse far from the mirror direction. The method with one wavelength per Fourier
     coefficient fails near the mirror direction, where one coefficient dominates at all visible wavelengths.
@@ -238,7 +238,7 @@ def order_rate(which: slice = ALL) -> Panel:
 
 
 def grazing(which: slice = ALL) -> Panel:
-    """Return the panel of grazing directions: errors over the elevation of light and view above the horizon.
+    """Return the panel (diagram) of errors over the elevation of light and view above the horizon.
 
     In float32, the sum 1 + ωi·ωr of the unit vectors ωi to the light and ωr to the viewer loses digits near the
     horizon. One method omits the factor cos θi, by which a light source is foreshortened. The error of this method
@@ -289,7 +289,7 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 
 
 def pitch(which: slice = ALL) -> Panel:
-    """Return the panel of the sample spacing (pitch) of the heights.
+    """Return the panel (diagram) of errors over the sample spacing (pitch) of the heights.
 
     If the pitch is too coarse, methods that use the height samples unchanged have large errors by aliasing. Resampling
     to 0.02 µm before the call reduces the error.
@@ -312,7 +312,7 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """Return the panel of replicated patches: a thousand equal periods interfere.
+    """Return the panel (diagram) of errors for replicated patches: a thousand equal periods interfere.
 
     The phase between neighbouring periods is nearly a whole number of turns. The x axis is the difference from this
     whole number.
@@ -350,7 +350,7 @@ def periods(which: slice = ALL) -> Panel:
 
 
 def wavelength_steps(which: slice = ALL) -> Panel:
-    """Return the panel of wavelength steps: plain sums over equal steps, compared with the library's quadrature."""
+    """Return the panel (diagram) of errors over the step between wavelengths, for plain sums over wavelengths."""
     lights, views = methods.hemisphere_pairs(64)
     x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
     for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):

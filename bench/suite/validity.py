@@ -46,8 +46,8 @@ PERIODS = np.geomspace(0.502, 19.16, 17)
 DEPTHS = np.geomspace(0.02, 1.0, 11)
 # Number of height samples per period.
 SAMPLES = 2048
-# Unit in which efficiencies are stored as integers. The value was chosen so that the rounding is small compared with
-# the errors in the chart.
+# Unit of the integers that store efficiencies. The value was chosen so that the rounding is small compared with the
+# errors in the chart.
 UNIT = 1e-5
 # Largest error of an order's efficiency that counts as correct, as a share of the power that a flat surface reflects.
 LIMIT = 0.1
@@ -157,7 +157,7 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error and of the verdict on the heights, and counts of gratings by this verdict."""
+    """Return maps of the measured error and of the error that the library expects, and counts of gratings by grade."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}
@@ -196,7 +196,7 @@ def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return the chart's name and sentences about gratings of the grade reliable."""
+    """Draw maps of the error. Return the chart's name and sentences about gratings that the library grades reliable."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
@@ -248,10 +248,10 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the counts and errors of ``rule`` by name.
+    """Return the counts and errors that ``rule`` computes, by name.
 
-    Each entry is a list that has the form of the other charts' entries: the value, the value twice more instead of a
-    minimum and a maximum, and the unit.
+    Each value is stored as a list [value, value, value, unit], because other charts have lists [median, minimum,
+    maximum, unit].
     """
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]

@@ -94,7 +94,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
 def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
-    """The shots of a sequence from the command line must equal those that the library's functions return."""
+    """The shots (lights and camera per frame) from the command line must equal those of the library's functions."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
     monkeypatch.setattr(wd, "sequence", lambda _, shots, *__, **___: drawn.extend(shots) or [])
@@ -165,8 +165,8 @@ def test_the_plan_reports_the_requested_coherence_and_method(options, said, tmp_
     [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
-    # The command ``info`` makes a plan, which holds numbers of a computation such as wavelengths. With a short
-    # coherence window, this is several seconds faster.
+    # The command ``info`` makes a plan (method, number of wavelengths and so on). With a short coherence window, this
+    # is several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out

@@ -98,8 +98,8 @@ def test_pixels_need_not_be_square_on_any_command(command, flag):
 ])  # fmt: skip
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 def test_info_reports_pixels_that_are_not_square(tmp_path, capsys, words, size):
-    # The command ``info`` makes no plan (numbers of a computation) for a field with missing samples. This saves a
-    # second.
+    # The command ``info`` makes no plan (method, number of wavelengths and so on) for a field with missing samples.
+    # This saves a second.
     heights = 0.05 * np.sin(np.arange(600.0)).reshape(20, 30)
     heights[3, 4] = np.nan
     np.save(tmp_path / "a.npy", heights)

@@ -1,4 +1,4 @@
-"""Grating maps on the command line."""
+"""Grating maps, surfaces of small rectangles with rotated and scaled gratings, on the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that print tables: numbers equal closed forms, CSV files contain all rows, errors name the options."""
+"""Commands that print tables of optical results: exact numbers, complete CSV files, and errors that name the flags."""
 
 import math
 

@@ -15,7 +15,7 @@ TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 def small_gratings(monkeypatch):
-    """Make the gratings of the demonstration small: fingers with a sixth of the side, and a disc with few tracks."""
+    """Make the height fields of the demonstration small: nano-fingers on a sixth of the length, and few disc tracks."""
     fingers = functools.partial(gratings.fingers, size_um=64.0 / 6.0, pitch_um=0.08)
     monkeypatch.setattr(gratings, "fingers", lambda **_: fingers())
     monkeypatch.setattr(gratings, "disc", rough(gratings.disc, tracks=6, length_um=12.5))

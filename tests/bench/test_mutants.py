@@ -1,4 +1,4 @@
-"""Mutation testing (``bench.dev.mutants``): faults in Python sources and headers, their random order, and scores."""
+"""Mutation testing (``bench.dev.mutants``): faults in Python files and headers, their random order, and scores."""
 
 import ast
 from collections import Counter

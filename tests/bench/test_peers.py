@@ -19,14 +19,14 @@ FINE = {"wavelengths": 544, "terms": 16, "neighbour_extent": 1, "rounded": True,
 
 
 def runs(peer):
-    """Return a peer, or skip the test if it cannot run on this machine."""
+    """Return a peer (another program in the benchmarks), or skip the test if the peer cannot run on this machine."""
     if reason := peer.available():
         pytest.skip(reason)
     return peer
 
 
 def called(heightfield, lights, views, coherence):
-    """Return scattering vectors and geometry factors (gains) for pairs of directions, and colours by the reference."""
+    """Return scattering vectors, geometry factors (gains) and reference colours for n lights and n view directions."""
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return -lights - views, gains, reference.reference_reflectance(heightfield, lights, views, coherence)
 
@@ -45,7 +45,7 @@ def test_the_published_algorithm_converges_to_the_reference(name, kind, rng):
 def test_rounding_finds_the_nearest_coefficient_and_floor_does_not(name, rng):
     # If the coherence window is much larger than the patch, the Fourier coefficient nearest to (u, v)/λ contributes
     # nearly all of the power. Here the peers use only one coefficient. They must find its index by rounding, not by
-    # floor.
+    # floor().
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
     scattering_vectors, gains, exact = called(heightfield, hemisphere(rng, 40), hemisphere(rng, 40), wd.Coherence())
     errors = []

@@ -25,8 +25,8 @@ def fingers():
     return gratings.fingers(size_um=3.6, pitch_um=0.09, seed=4)
 
 
-# Tested surfaces. Each entry has a height field, the σ of its coherence window [µm], the diameter of its light source
-# [degrees], and its numbers of periods (y, x).
+# Tested surfaces by name. Each value has a height field, the σ of its coherence window [µm], the diameter of its light
+# source [degrees], and its numbers of periods (y, x).
 REGIMES = {
     "sinusoidal": (lambda: gratings.sinusoidal(1.6, 0.4), 16.25, 0.53, (1, 12)),
     "blazed": (lambda: gratings.blazed(2.0, 0.3), 16.25, 0.53, (400, 3000)),
@@ -73,7 +73,7 @@ def test_spectra_equal_the_direct_sum(name, kind, rng):
 
 
 def integral(heightfield, lights, views, coherence, points=3):
-    """Return XYZ by the direct sum, with Gauss quadrature in intervals of 1 nm, in which colour products are linear."""
+    """Return XYZ by the direct sum and Gauss quadrature over each 1 nm, where illuminant · CIE functions are linear."""
     at, share = np.polynomial.legendre.leggauss(points)
     nodes = (np.arange(380, 780)[:, None] + 0.5 + at / 2.0).ravel()
     weights = np.tile(share / 2.0, 400)
@@ -116,8 +116,9 @@ def resonances(heightfield, lights, views, periods):
 
 
 def test_the_reference_resolves_narrow_lines_of_many_periods(rng):
-    """The reference must not miss narrow lines. With 1000 and 4000 periods, its colours must approach the limit of
-    infinitely many periods.
+    """The reference must not miss narrow lines of the spectrum.
+
+    With 1000 and 4000 periods, its colours must approach the limit of infinitely many periods.
     """
     heightfield = gratings.sinusoidal(1.6, 0.4)
     lights, views = (hemisphere(rng, 6, lowest=0.3) for _ in range(2))

@@ -93,7 +93,7 @@ def test_a_subset_of_directions_is_spread_over_all():
 
 @pytest.fixture(scope="module")
 def fingers(tmp_path_factory):
-    """Return the benchmark's scene with synthetic fingers, which is used if the data folder contains no scan."""
+    """Return the benchmark's scene with synthetic nano-fingers, which is used if the data folder contains no scan."""
     empty = tmp_path_factory.mktemp("empty")
     assert inputs.scan(empty) is None
     (result,) = [scene for scene in scenes(empty) if scene.name == "fingers"]

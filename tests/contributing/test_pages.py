@@ -68,7 +68,7 @@ def relative_errors(image, reference):
 
 
 def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, fingers):
-    """A line light must give the same picture as 32 point lights along the line.
+    """The line light on the page must give the same picture as 32 point lights along the line.
 
     Both pictures have a tolerance of 0.1, so that they may differ by 0.2.
     """
@@ -117,7 +117,7 @@ WITH_PROFILE = (
 # This test compiles kernels in a copy of the package, which takes 15 s.
 @pytest.mark.slow
 def test_the_light_of_the_page_about_lights_can_be_added_to_the_library(tmp_path):
-    """The files of the page are added to a copy of the package.
+    """The test adds the source files of a light, which the page prints, to a copy of the package.
 
     import-linter must find no broken rule, and the command line must accept the light by its name.
     """

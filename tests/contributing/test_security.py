@@ -1,4 +1,4 @@
-"""SECURITY.md: each enforced boundary names tests that exist, and no reader can execute code of a file."""
+"""SECURITY.md: each enforced security boundary names tests that exist, and no reader can execute code of a file."""
 
 import ast
 import re

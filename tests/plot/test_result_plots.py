@@ -176,7 +176,7 @@ def test_a_strip_has_the_colours_of_its_directions(ax, rng):
 
 @pytest.mark.parametrize("azimuth", [0.0, 60.0])
 def test_a_strip_of_a_height_field_is_in_the_plane_of_the_light(ax, monkeypatch, azimuth):
-    """A strip must show view directions in the plane of the light.
+    """A colour strip must show view directions in the plane of the light and the normal.
 
     The view angle of 30° must be the direction to the light. The view angle of −30° must be its mirror direction, which
     the plot marks.

@@ -21,7 +21,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 @pytest.fixture(scope="module")
 def rough():
-    """Return a square patch of random fingers, whose spectrum is non-zero along both axes."""
+    """Return a square patch of random finger-like bumps, whose Fourier spectrum is non-zero along both axes."""
     return wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7)
 
 
@@ -48,7 +48,7 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
 
 
 def kernel_gain(lights, views, normal, masking, device):
-    """Return the gains C·M of pairs of directions, computed by the kernel for pixels with one light per pixel."""
+    """Return the gains C·M of n lights and n views, computed by the kernel for n pixels with one light per pixel."""
     reflection = light_samples.Reflection()
     reflection.masking = masking
     count = len(lights)
@@ -223,7 +223,7 @@ def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
 def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     """The plane h = x·tan 5° must reflect normally incident light to θr = −10°.
 
-    The plane is repeated as a sawtooth. The height H of its steps is such that κH is an integer, so that phases are
+    The plane is repeated as a sawtooth. The height H of its steps is such that H·w/λ is an integer, so that phases are
     continuous at the steps.
     """
     wavelength, slope = 0.5, math.copysign(math.tan(math.radians(5.0)), cycles)

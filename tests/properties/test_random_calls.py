@@ -25,8 +25,8 @@ def log_uniform(low, high):
 def height_fields(draw):
     """Return a random height field: rough, smooth or flat, at most 0.6 µm high, with 1 to 24 samples per axis.
 
-    Higher fields would require more terms of the series, and each number of terms compiles another kernel. They are
-    tested in tests/planner/test_regimes.py.
+    Higher fields would require more terms of the Taylor series, and each number of terms compiles another kernel. They
+    are tested in tests/planner/test_regimes.py.
     """
     ny, nx = draw(st.one_of(
         st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),
@@ -44,7 +44,7 @@ def height_fields(draw):
 
 @st.composite
 def vectors(draw, count):
-    """Return random vectors of any length: unit vectors, axes, and vectors near the horizon, on both sides."""
+    """Return random vectors of any length: unit vectors, axes, and vectors slightly above and below the horizon."""
     component = st.one_of(
         st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-300, -1e-300, 1e-30, 1e-8, -1e-8, 1e-6, 1e30, 1e300]),
         st.floats(-1.0, 1.0),
@@ -156,8 +156,8 @@ def test_the_brdf_is_reciprocal(data):
 def test_a_constant_height_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Heights are first rounded to multiples of 2⁻²⁰ µm. The constant can then be added to them without a rounding
-    # error.
+    # The test adds a constant to all heights. The heights are first rounded to multiples of 2⁻²⁰ µm, so that the
+    # addition has no rounding error.
     heights = np.round((heightfield.heights_um - heightfield.heights_um.min()) * 2.0**20) / 2.0**20
     raised = heights + data.draw(st.sampled_from([1.0, -3.5, 100.0]))
     here, there = (
@@ -188,7 +188,7 @@ def test_mirroring_surface_and_directions_changes_nothing(data):
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # The kind "replicas" sums over whole periods. This mirroring also moves each period by one sample, which
+        # The kind "replicas" sums over whole periods. Here the mirrored surface is also shifted by one sample, which
         # changes only the phase of the reflected wave.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])

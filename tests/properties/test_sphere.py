@@ -38,7 +38,7 @@ def sphere():
 
 
 def pairs():
-    """Return all pairs of the unit vectors of ``sphere``. Pairs of opposite and of mirrored vectors are added."""
+    """Return all pairs (light, view) of the unit vectors of ``sphere``, and pairs of opposite and mirrored vectors."""
     one = sphere()
     lights, views = (np.array(each) for each in zip(*itertools.product(one, one), strict=True))
     return np.concatenate([lights, one, one]), np.concatenate([views, -one, one * [-1.0, -1.0, 1.0]])

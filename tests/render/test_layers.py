@@ -247,7 +247,7 @@ def test_the_light_of_single_lights_sums_to_the_picture(options):
     assert list(image.layers) == ["light.0", "light.1", "light.2"]
     total = sum(layer.astype(np.float64) for layer in image.layers.values())
     np.testing.assert_allclose(image.xyz, total, atol=1e-6 * total.max())
-    # Each layer must equal the picture under one light alone, within the tolerance.
+    # The layer of each light must equal the picture under this light alone, within the tolerance.
     again = {key: value for key, value in options.items() if key not in ("coherence", "method")} | {"plan": image.plan}
     for index, light in enumerate(LIGHTS):
         alone = wd.shade(two_boxes(), HF, light, view, **{"footprint": False, "strict": False, **again})
@@ -330,7 +330,7 @@ def test_layers_are_parts_of_an_exr(tmp_path):
         for component, suffix in enumerate(LAYERS[name.partition(".")[0]].channels):
             expected = layer[..., component] if layer.ndim == 3 else layer
             np.testing.assert_array_equal(channels[f"{name}.{suffix}"], expected)
-    # The layer with the light of one light is scaled by the exposure, like the colours of the picture.
+    # The layer with the contribution of one light is scaled by the exposure, like the colours of the picture.
     bright = wd.Image.load(image.save(tmp_path / "b.exr", exposure=4.0))
     np.testing.assert_array_equal(bright.layers["light.0"], 4.0 * image.layers["light.0"])
     np.testing.assert_array_equal(bright.layers["position"], image.layers["position"])

@@ -179,8 +179,8 @@ def test_far_textures_reflect_the_mean_light_of_a_sky():
         wd.shade(scene(mapped(texels), 0.05), SURFACES, sky, far_view(8), **options, samples_per_pixel=samples)
         for samples in (4, 4096)
     )
-    # If each cell had a single mean roughness, the error would be 6 %. The tolerance is smaller, so that the test
-    # detects this.
+    # If each subpixel cell had a single mean roughness, the error would be 6 %. The tolerance is smaller, so that the
+    # test detects this.
     np.testing.assert_allclose(few.xyz.mean(axis=(0, 1)), many.xyz.mean(axis=(0, 1)), rtol=0.045)
 
 

@@ -90,7 +90,7 @@ def test_a_smooth_metal_has_the_peak_luminance_of_a_mirror_of_the_unit():
 
 
 def mean_colour(image, number):
-    """Return the mean colour of a part over the middle rows, without the pixels at its edges."""
+    """Return the mean colour of one part of the scene over the middle rows of pixels, without pixels at its edges."""
     rows = slice(round(0.35 * len(image.xyz)), round(0.65 * len(image.xyz)))
     columns = np.flatnonzero((image.layers["geometry"][rows] == number).all(axis=0))[2:-2]
     return image.xyz[rows, columns].mean(axis=(0, 1))

@@ -1,8 +1,8 @@
 """Refinement: subdivided pixels with uneven colours must equal those of a picture with many rays per pixel.
 
 A pixel is divided into subpixel cells, each with its own ray. With footprints, a cell has the mean colour over the
-scattering vectors that it covers; without footprints, it is a point sample. A plan has the numbers of a computation,
-and may use a table of colours.
+scattering vectors that it covers; without footprints, it is a point sample. A plan states how colours are computed: the
+method, the number of wavelengths and so on. It may use a table of colours.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan with so fine a table of colours that most of the error comes from the averaging over footprints."""
+    """Return a plan whose table of colours is so fine that averages over pixel areas cause most of the error."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -87,7 +87,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return the errors of inner pixels, relative to the colour, or to a floor if that is larger."""
+    """Return the errors of inner pixels, relative to the exact colour, or to a dark colour if that is brighter."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 

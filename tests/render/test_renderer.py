@@ -53,7 +53,7 @@ def painted(tube):
 
 @pytest.fixture(scope="module")
 def plans(fingers):
-    """Return plans by name. A plan has the numbers of a computation; a renderer and ``shade`` use the same plan."""
+    """Return plans (method, number of wavelengths and so on) by name. A renderer and ``shade`` use the same plan."""
     table = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=5e-2)
     source = wd.Coherence("source", angular_diameter_deg=4.0)
     return {

@@ -37,7 +37,7 @@ def fingers():
 
 @pytest.fixture(scope="module")
 def small_fingers():
-    """Return a patch with a quarter of the samples of ``fingers``, because a direct sum over all samples is slow."""
+    """Return a surface like ``fingers`` with a quarter of its samples, because a direct sum over all would be slow."""
     return wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=2)
 
 
@@ -123,8 +123,8 @@ def test_the_colours_of_several_lights_add_up(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # All pictures use the same plan (numbers of wavelengths and terms). With separate plans, the wavelengths would
-    # depend on the lights of each picture.
+    # All pictures use the same plan (method, number of wavelengths and so on). With separate plans, the wavelengths
+    # would depend on the lights of each picture.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
     # A picture with one light is refined until it meets the tolerance. With several lights, only the sum must meet the
@@ -373,8 +373,8 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     mesh, view = BODIES[name]
     mesh = mesh or request.getfixturevalue("fuze_path")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
-    # The coherence window is as short as the fingers of the height field, so that orders overlap. Otherwise, directions
-    # between orders would be so dark that float32 numbers become 0.
+    # The coherence window is as short as the finger-like bumps of the surface, so that diffraction orders overlap.
+    # Otherwise, directions between orders would be so dark that float32 numbers become 0.
     coherence = wd.Coherence("averaged", 1.2)
     light = wd.DirectionalLight((0.4, 0.9, 0.7))
     # Without refinement, each pixel has one ray, through its centre, and cannot be partly in shadow.

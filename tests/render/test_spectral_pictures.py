@@ -1,4 +1,4 @@
-"""Spectral pictures: radiances must equal reflectance spectra, integrate to the colours, and be readable elsewhere."""
+"""Spectral pictures: radiances equal reflectance spectra and integrate to the colours; other programs can read them."""
 
 import warnings
 
@@ -21,7 +21,7 @@ OPTIONS = {"coherence": WINDOW, "tolerance": 0.05, "wavelengths_nm": WAVELENGTHS
 
 
 def spectra_of(image, index, light, **options):
-    """Return the expected spectra of a picture under one of its lights, at the directions that its layers store."""
+    """Return the expected spectra of a picture under one of its lights, for the directions that its layers store."""
     to_light = image.layers[f"to_light.{index}"]
     lit = to_light.any(axis=2)
     result = np.zeros((*lit.shape, len(WAVELENGTHS_NM)))

@@ -1,6 +1,7 @@
 """Pictures with several surfaces: each part of a mesh must have the colours of its own surface, in a common unit.
 
-The unit is the light that a perfect mirror shows. A plan has the numbers of the computation for one surface.
+The unit is the light that a perfect mirror shows. A plan states how the colours of one surface are computed: the
+method, the number of wavelengths and so on.
 """
 
 import math
@@ -93,7 +94,7 @@ def test_luminance_relative_to_a_white_plain_surface_is_that_of_the_brdf(coheren
     """The luminance relative to a white plain surface must be π ∫ f Ω S ȳ dλ / ∫ Ω S ȳ dλ.
 
     f is the absolute BRDF, S the illuminant, ȳ the luminous efficiency, and Ω a weight, proportional to λ² for a
-    window.
+    coherence window.
     """
     image = wd.shade(
         BODY, {"middle": wd.Surface(WAVE, coherence=coherence, pigment=0.0, **reflection), "*": None}, LIGHT, VIEW,

@@ -17,8 +17,8 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# The plan (numbers of a computation) is for a single direction. Such a plan needs no search and is made quickly; every
-# test process imports this file.
+# The plan (method, number of wavelengths and so on) is for a single direction. It is therefore made without a search
+# for these numbers, and quickly; every test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -44,8 +44,8 @@ EVALUATE = {
     "shade": lambda heightfield=HF, **options: wd.shade(MESH, heightfield, LIGHT, VIEW, **options),
 }
 
-# Invalid values of arguments that several functions share, in addition to those of test_refusals.py. Each row is tested
-# with every function that has the argument.
+# Invalid values of arguments that several functions share: argument, value, class and message of the error. Each value
+# is tested with every function that has the argument. test_refusals.py has further invalid values.
 SHARED = [
     ("heightfield", np.zeros((8, 8)), TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
     ("heightfield", "scan.png", TypeError, r"heightfield must be a warpdiff\.HeightField, got str"),
@@ -123,7 +123,7 @@ VALUE_ERRORS = [
     (lambda _: shade(bare()), "mesh has neither texture coordinates nor tangents; give tangents"),
     (lambda _: shade(bare(TRIANGLE * [1, 0, 0]), tangents=np.ones((3, 3))), "mesh must have a face with an area, got"),
     (lambda _: shade(light=wd.DirectionalLight(UP, illuminant="D66")), r"lights\[0\].illuminant must be .* got 'D66'"),
-    # Calls with invalid plans, and the errors that they raise
+    # Calls with invalid plans (methods and their numbers of wavelengths), and the errors that they raise
     (lambda _: dataclasses.replace(CENTRED_PLAN, method="power", rings_per_octave=0),
      "method='power' cannot be used with kind='centred', whose coefficients add as amplitudes, not as powers:"),
     (lambda _: wd.reflectance(HF, UP, UP, plan=PLAN, coherence=wd.Coherence("centred")),
@@ -194,7 +194,7 @@ MISSING_FILES = [
     (lambda d: shade(d / "no.obj"), "the mesh file .*no.obj' does not exist"),
 ]
 CALLS = {ValueError: VALUE_ERRORS, TypeError: TYPE_ERRORS, MemoryError: MEMORY_ERRORS, FileNotFoundError: MISSING_FILES}
-# Invalid fields of a plan, with the expected message.
+# Invalid values of the fields of a plan (method, number of wavelengths and so on), with the expected message.
 PLANS = [
     ("terms", 129, "terms must be 1 to 128, got 129"),
     ("least_weight", 2, "least_weight must be less than 1, got 2: no"),
@@ -226,7 +226,7 @@ SAVES = [
 
 
 def changed(**fields):
-    """Return a copy of ``PLAN`` with other values in some fields."""
+    """Return a copy of the plan ``PLAN`` with other values in some of its fields."""
     return dataclasses.replace(PLAN, **fields)
 
 
@@ -281,7 +281,7 @@ def test_invalid_shared_options_are_refused(function, option, value, error, mess
 @pytest.mark.parametrize("kind", ["centred", "replicas"])
 @pytest.mark.usefixtures("no_kernel")
 def test_power_series_are_refused_for_coherences_that_add_amplitudes(function, kind):
-    """Series of powers must be refused for coherences that add amplitudes, with a list of the allowed methods."""
+    """``method="power"`` must be refused for coherences that add amplitudes, with a list of the allowed methods."""
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
     with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
         EVALUATE[function](method="power", coherence=coherence)

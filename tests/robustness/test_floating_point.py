@@ -45,8 +45,8 @@ def test_reflectances_cause_no_floating_point_error(fingers, coherence, method):
     assert np.isfinite(wd.reflectance(fingers, (0.3, 0.1, 1.0), to_view, **options)).all()
 
 
-# A power of 1e-300 is 0 in float32. The warning that no light illuminates the picture is then correct. It is therefore
-# ignored.
+# A light with a power of 1e-300 has the power 0 in float32. The warning that no light illuminates the picture is then
+# correct. It is therefore ignored.
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 @pytest.mark.parametrize("power", [1e-300, 1e-40, 1e-20, 1e12])
 def test_pictures_of_any_power_are_finite(fingers, power, tmp_path):

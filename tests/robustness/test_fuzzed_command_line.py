@@ -51,8 +51,8 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     # With little free memory, large requests are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    # With a short coherence window, the library makes its plan (numbers of wavelengths and terms) several seconds
-    # faster.
+    # With a short coherence window, the library makes its plan (method, number of wavelengths and so on) several
+    # seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")
     waves = 0.05 * np.sin(np.arange(12.0))[None, :] + np.zeros((9, 1))

@@ -38,7 +38,7 @@ PARTS_OF = {
 
 
 def strategies_of(name):
-    """Return Hypothesis strategies (random values) for the arguments of a public callable, with ``self`` if fuzzed."""
+    """Return Hypothesis strategies for the arguments of a public callable, and for ``self`` of methods to fuzz."""
     function, owner = PUBLIC[name]
     strategies = {option.name: fuzz.strategy(option) for option in fuzz.options_of(function)}
     return strategies | ({"self": fuzz.OBJECTS[FUZZED_OWNERS[owner]]} if owner in FUZZED_OWNERS else {})

@@ -1,4 +1,4 @@
-"""Texts of heights with random separators, numbers, gaps, headers and encodings are read exactly or refused."""
+"""Text files of heights with random separators, number formats, gaps and encodings are read exactly or refused."""
 
 from typing import Any, NamedTuple
 
@@ -8,7 +8,7 @@ from endurance import SEED, count
 
 from warpdiff.heightfield.field import HeightField
 
-# Sizes of units of length [µm].
+# Units of length that a text file may use, with their sizes [µm].
 UNITS = {"nm": 1e-3, "µm": 1.0, "mm": 1e3}
 # Formats of numbers. Each has the standard deviation of the random heights that are written in this format.
 FORMS = {"{:.0f}": 50.0, "{:.2f}": 20.0, "{:.4f}": 1.0, "{:.5e}": 1e-3, "{:.5E}": 1e-3, "{:.6g}": 1e-2}

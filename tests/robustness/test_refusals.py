@@ -36,7 +36,15 @@ from warpdiff.request.settings import SinglePictureSettings
 
 
 class Row(NamedTuple):
-    """An invalid request: front end, request, name of the argument, pattern of the expected rule, and message."""
+    """Request with one invalid argument, and the error message with the pattern that it must match.
+
+    Attributes:
+        front: Way of the request: Python, command line or viewer.
+        request: Text of the request.
+        word: Name of the argument in the message.
+        rule: Pattern of the rule that the message must state.
+        message: Function that makes the request and returns the message.
+    """
 
     front: str
     request: str
@@ -100,7 +108,7 @@ def prepared(folder: Path) -> Iterator[None]:
         yield
 
 
-# Invalid arguments in Python
+# The code below makes calls in Python that have one invalid argument each.
 
 # Objects of classes that require kernels, made without initialisation. The tests only need methods of these objects to
 # refuse their arguments.
@@ -111,7 +119,7 @@ BARE = {
 
 
 def changed_plan(**fields: object) -> wd.Plan:
-    """Return a plan (numbers of wavelengths and terms) for one direction, with other values in some fields."""
+    """Return a plan (method, number of wavelengths and so on) for one direction, with other values in some fields."""
     return dataclasses.replace(wd.plan(fuzz.HEIGHTFIELD, fuzz.UP, fuzz.UP), **fields)
 
 
@@ -344,7 +352,7 @@ def error_of_command(line: list[str]) -> str:
     return text.removeprefix(f"warpdiff {line[0]}: ") if code == 2 else f"exit code {code}: {text}"
 
 
-# Invalid values in the viewer
+# The code below makes requests of the viewer's page that have one invalid value each.
 
 
 def viewer_rows() -> Iterator[Row]:

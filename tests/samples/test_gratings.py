@@ -1,4 +1,4 @@
-"""Synthetic gratings: closed forms, continuity across the seam, statistics of random ones, and invalid arguments."""
+"""Synthetic gratings: closed forms, continuity across periods, statistics of random surfaces, invalid arguments."""
 
 from typing import Any
 
@@ -89,7 +89,7 @@ def test_fingers_have_the_requested_size_height_and_period() -> None:
     assert (period.period_um, period.direction_deg) == pytest.approx((1.1, 0.0), abs=0.05)
     other = gratings.fingers(size_um=(12.0, 20.0), pitch_um=(0.06, 0.04), period_um=0.8, length_um=2.0, height_um=1.0)
     assert (other.shape, other.height_range_um) == ((200, 500), pytest.approx(1.0))
-    # The fingers are elongated along y, so heights are correlated much farther along y than along x.
+    # The finger-like bumps are elongated along y, so heights are correlated much farther along y than along x.
     centred = field.heights_um - field.heights_um.mean()
     correlation = np.fft.ifft2(np.abs(np.fft.fft2(centred)) ** 2).real / (centred**2).sum()
     assert correlation[10, 0] > 0.8

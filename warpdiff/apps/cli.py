@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 # File errors that count as bad input (exit code 2). Other file errors, such as a full disk, are failures (exit code 1).
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
-# Flag or operand of the command line that sets an argument of the library's Python functions. Error messages print the
-# flag or operand instead of the argument's name. Flags that ``cli_options.py`` generates from the options of a Python
-# function are not in this dictionary.
+# For each argument of the library's Python functions, the flag or operand of the command line that sets it. Error
+# messages print the flag or operand instead of the argument's name. Flags that ``cli_options.py`` generates from the
+# options of a Python function are not in this dictionary.
 _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
@@ -137,8 +137,8 @@ class _Command(NamedTuple):
         example: Examples in the help.
         add_flags: Function that adds the command's flags to its parser.
         run: Function that runs the command.
-        words: Flag by Python argument, for error messages. Flags that :mod:`warpdiff.apps.cli_options` generates are
-            not listed.
+        words: For each Python argument, the flag that sets it, for error messages. Flags that
+            :mod:`warpdiff.apps.cli_options` generates are not listed.
     """
 
     what: str

@@ -189,7 +189,7 @@ def demo(options: argparse.Namespace) -> None:
 
 
 def info(options: argparse.Namespace) -> None:
-    """Print a summary of a height field, and the plan (method and numbers) to compute all directions."""
+    """Print a summary of a height field, and a plan for all directions (method, number of wavelengths and so on)."""
     heightfield = cli_inputs.height_field_of(options)
     print(heightfield.summary())
     if heightfield.missing.any():

@@ -241,7 +241,7 @@ def add_cache(flags: Flags) -> None:
 
 
 def _add_picture(flags: Flags, settings: type) -> None:
-    """Add the flags of pictures: mesh, height field, evaluation, lights, camera and picture file."""
+    """Add the flags of pictures: mesh, height field, tolerance and method, lights, camera and picture file."""
     flags.parser.add_argument("mesh", metavar="MESH", help=_MESH_HELP)
     _add_height_field(flags)
     flags.parser.add_argument(

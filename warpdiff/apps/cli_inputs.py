@@ -65,7 +65,7 @@ def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: 
         text: Text from the command line: the name of a function, optionally with parameters after a colon.
         functions: Functions of the module by their name on the command line, with default parameters.
         module: Module of the functions.
-        flag: Name of the Python argument for which the text was given. Error messages print its flag or operand.
+        flag: Name of the Python argument that the text sets. Error messages print its flag or operand.
     """
     name, colon, parameters = text.partition(":")
     if name.lower() in functions:
@@ -208,7 +208,7 @@ def _dot_value(text: str, name: str, value: str) -> Any:
 
 
 def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.HeightField:
-    """Return the height field of a file or of a synthetic grating, after cleaning; ``flag`` is the name in messages."""
+    """Return the height field of a file or a synthetic grating after cleaning. Errors name the argument ``flag``."""
     made = _named(text, GRATINGS, wd.gratings, flag)
     if made is None:
         if not validation.path(text, flag).is_file():

@@ -1,4 +1,4 @@
-"""Flags of the command line, generated from the descriptions of options.
+"""Flags of the command line, generated from the descriptions of the Python functions' options.
 
 The name of a flag is the option's Python name with dashes instead of underscores, for example ``--delta-e``.
 """
@@ -96,14 +96,14 @@ class Flags:
         self._stored: set[str] = set()
 
     def group(self, title: str) -> Any:
-        """Return a new group of flags, which the help lists under a title."""
+        """Return a new group of flags; the command's help lists the flags of a group below the group's title."""
         return self.parser.add_argument_group(title)
 
     def add(
         self, group: Any, options: Mapping[str, Option], *, only: Iterable[str] | None = None,
         names: Mapping[str, str] | None = None, defaults: Mapping[str, Any] | None = None, prefix: str = "",
     ) -> None:  # fmt: skip
-        """Add a flag for each option.
+        """Add a flag to the command for each of several options of the Python functions.
 
         Args:
             group: Group of the help that lists the flags.
@@ -180,7 +180,7 @@ def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
 
 
 def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: str = "") -> dict[str, Any]:
-    """Return the Python arguments that the flags set, by name, after a check of each value.
+    """Return the Python arguments that the user's flags set, by name, after a check of each value.
 
     Args:
         options: Parsed arguments of the command.

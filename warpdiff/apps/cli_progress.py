@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 # Before a command starts, Python imports modules for up to 1 s, so a user waits for at most 2 s until the first
 # display. If doubled, the user waits for up to 3 s.
 _FIRST_S = 1.0
-# Longest interval between two lines of text [s]. It was chosen so that a log of a day has 150 lines. If doubled, such a
-# log has half as many lines.
+# Longest interval between two lines of text [s]. It was chosen so that the progress of a command that runs for a day
+# has 150 lines. If doubled, it has half as many lines.
 _MOST_BETWEEN_LINES_S = 600.0
 
 

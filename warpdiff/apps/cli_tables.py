@@ -40,7 +40,7 @@ def direction_of(theta_deg: float, phi_deg: float, flag: str) -> NDArray[np.floa
 
 
 def orders(options: argparse.Namespace) -> None:
-    """Run ``warpdiff orders``: print the efficiencies of the strongest orders."""
+    """Run ``warpdiff orders``: print the efficiencies of the strongest diffraction orders of a height field."""
     _check_csv(options)
     heightfield = cli_inputs.height_field_of(options)
     to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")

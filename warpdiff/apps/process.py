@@ -90,7 +90,7 @@ class Interruption:
         self._unraisable(unraisable)
 
     def _leave(self, code: int) -> NoReturn:
-        """Delete unfinished files and temporary folders, and end the process without waiting for other threads."""
+        """Delete unfinished files and temporary folders, and end the process without waiting for its other threads."""
         try:
             files.discard_unfinished()
             # Another thread, such as a compilation, may write into a folder while the folder is deleted. The deletion

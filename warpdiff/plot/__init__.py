@@ -1,8 +1,8 @@
 """Plots of height fields and results with matplotlib, public as ``wd.plot``; requires ``pip install 'warpdiff[plot]'``.
 
-The functions plot height fields, order efficiencies, spectra, pictures and plans. Each function accepts ``ax=``, the
-matplotlib axes to draw into; by default the function makes a new figure. The function returns the axes, and
-``axes.figure.savefig("plot.png")`` writes the figure to a file.
+The functions plot height fields, order efficiencies, spectra, pictures, and plans (choices of a method with predicted
+errors). Each function accepts ``ax=``, the matplotlib axes to draw into; by default the function makes a new figure.
+The function returns the axes, and ``axes.figure.savefig("plot.png")`` writes the figure to a file.
 
 matplotlib is imported when the first plot is drawn.
 

@@ -24,9 +24,10 @@ FAINT, MISSING = "0.85", "white"
 _LONGEST_BAR = 0.25
 # Length of the longer side of a map in a new figure [inches].
 _MAP_INCHES = 4.3
-# The length of a scale bar is one of these numbers times a power of ten.
+# The length of a scale bar [µm] is one of these numbers times a power of ten.
 _ROUND_LENGTHS = (1.0, 2.0, 5.0)
-# Range of the heights [µm] from which plots show heights in µm instead of nm, and number of nanometres per micrometre.
+# Smallest difference of the highest and the lowest height [µm] at which plots show heights in µm instead of nm, and
+# number of nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 
 
@@ -66,7 +67,7 @@ def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Return matplotlib's keyword arguments for the colour and the style of line number ``index``, from 0."""
+    """Return matplotlib's keyword arguments for the colour and the style of the line with index ``index``, from 0."""
     count = len(LINE_COLOURS)
     return {
         "color": LINE_COLOURS[index % count], "linestyle": LINE_STYLES[(index // count) % len(LINE_STYLES)],
@@ -76,7 +77,7 @@ def line_style(index: int) -> dict[str, Any]:
 def length_unit(range_um: float) -> tuple[str, float]:
     """Return the unit of an axis of heights, and the factor that converts µm to this unit.
 
-    The unit is ``"µm"`` if the range of the heights is at least 1 µm, otherwise ``"nm"``.
+    The unit is ``"µm"`` if the highest and the lowest height differ by at least 1 µm, otherwise ``"nm"``.
     """
     return ("µm", 1.0) if range_um >= _LEAST_MICROMETRES else ("nm", _NM_PER_UM)
 
@@ -136,7 +137,7 @@ def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither
 
 
 def map_size(extent_y: float, extent_x: float) -> tuple[float, float]:
-    """Return the width and height of a map [inches]; their ratio is that of the extents, but at most 4 to 1."""
+    """Return the width and height of a height map [inches]; their ratio is that of the field, but at most 4 to 1."""
     ratio = min(max(extent_y / extent_x, 0.25), 4.0)
     return (_MAP_INCHES, _MAP_INCHES * ratio) if ratio <= 1.0 else (_MAP_INCHES / ratio, _MAP_INCHES)
 

@@ -1,6 +1,6 @@
 """Plots of errors: the estimated error of each pixel, and the predicted errors and the cost of a plan.
 
-A plan holds the numbers of a computation, such as wavelengths and terms of a series.
+A plan states how colours are computed: the method, the number of wavelengths, the number of series terms and so on.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def error_image(
 def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axes:
     """Plot the errors that a plan predicts, by their source; a line marks the tolerance, the title states the cost.
 
-    A plan holds the numbers of a computation, such as wavelengths and terms of a series.
+    A plan states how colours are computed: the method, the number of wavelengths, the number of series terms and so on.
 
     Args:
         plan: Plan, for example of :func:`warpdiff.plan` or ``image.plan``.
@@ -146,7 +146,7 @@ def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axe
 def _summary(plan: Plan) -> str:
     """Return the title for the plot of a plan: method, computing time, and whether it meets its tolerance.
 
-    A plan holds the numbers of a computation, such as terms of a series.
+    A plan states how colours are computed, for example with how many wavelengths.
     """
     meets = "meets" if plan.error <= plan.tolerance or plan.method == "direct" else "does not meet"
     terms = "" if plan.method == "direct" else f", {plan.terms} terms"

@@ -29,7 +29,7 @@ _LINE_LUMINANCE = 0.3
 # A band below the wavelength axis shows the colour of each wavelength. `_BAND_HEIGHT` is the height of the band
 # relative to the height of the plot, and `_BAND_COLOURS` the number of colours in the band.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
-# Least divisor in a normalisation of RGB colours, which prevents a division by zero for black.
+# Least divisor by which an RGB colour is divided to normalise it, which prevents a division by zero for black.
 _LEAST_RGB = 1e-9
 # Maximum number of diffraction orders that a plot against the view angle labels with their numbers. The value is
 # limited by space: more labels overlap.
@@ -245,7 +245,7 @@ def _draw_lines(
 
 
 def _of_all(result: OrderEfficiencies, count: int) -> str:
-    """Return the end of a plot's title, which states how many orders are drawn; empty if all orders are drawn."""
+    """Return the end of a plot's title, which states how many diffraction orders are drawn; empty if all are drawn."""
     total = len(result.orders)
     return f", the {count} strongest of {total}" if total > count else ""
 

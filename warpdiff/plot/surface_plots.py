@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.periods import Period
 
-# Fraction of the total power of a spectrum that its plot shows; the highest frequencies are cut off. The value was
-# chosen because the frequencies that are cut off contain only noise.
+# Fraction of a height field's total power that the plot of its power spectrum shows. Higher frequencies are cut off.
+# The value was chosen because these frequencies contain only noise.
 _SHOWN_POWER = 0.999
 # The frequency axes in the plot of a power spectrum extend at least to this multiple of the highest frequency of the
 # periods that the plot marks. The value is more than 1, so that these marks are not at the edge of the plot.
 _AROUND_PERIODS = 1.4
-# Lower end of the colour range in the plot of a power spectrum. The fraction `_DARKEST` of the frequencies has a power
-# below this end, and the darkest colour. The lower end is at most `_POWER_RANGE` times the largest power.
+# Lower end of the colour range in the plot of a power spectrum. At the fraction `_DARKEST` of all frequencies, the
+# power is below this end and is drawn darkest. The end is at most `_POWER_RANGE` times the largest power.
 _DARKEST, _POWER_RANGE = 0.3, 1e-2
-# Smallest power on the power axis, relative to the largest power. It applies to the spectrum of a field that is
-# constant along x or y, which is plotted as a line.
+# Smallest power on the power axis, relative to the largest power. It applies to the power spectrum of a height field
+# that is constant along x or y, which is plotted as a line.
 _LINE_RANGE = 1e-7
 # A profile may be drawn below a map of heights. `_PROFILE` is the height of the profile, and `_GAP` the height of the
 # gap between map and profile, both relative to the width of the map.

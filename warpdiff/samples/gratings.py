@@ -30,9 +30,9 @@ __all__ = ["blazed", "bumps", "disc", "fingers", "lamellar", "sinusoidal"]
 # Largest default pitch [µm], about a tenth of the shortest visible wavelength. If it was doubled, aliasing would cause
 # errors in directions near the horizon.
 _COARSEST_PITCH_UM = 0.04
-# Distance from a ridge beyond which the ridge does not contribute to the heights [distances between neighbouring
-# ridges]. The number was derived from the profile of a ridge, whose height at this distance is below 1e-40 of the
-# height of its crest.
+# Distance from a ridge (row of finger-like bumps) beyond which the ridge does not contribute to the heights, in units
+# of the distance between neighbouring ridges. The number was derived from the profile of a ridge, whose height at this
+# distance is below 1e-40 of the height of its crest.
 _RIDGE_REACH = 4.0
 
 
@@ -133,7 +133,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
 
 @dataclass(frozen=True)
 class _DiscFormat:
-    """Dimensions [µm] and run lengths [channel bits] of an optical disc format."""
+    """Dimensions [µm] of an optical disc format, and lengths of its pits and lands (runs) [channel bits]."""
 
     track_pitch_um: float
     pit_width_um: float
@@ -240,7 +240,7 @@ def disc(
 
 
 def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
-    """Return an even number of random run lengths [channel bits] with the sum ``bits``, of pits and lands in turn."""
+    """Return random lengths (runs) [channel bits] of alternate pits and lands, an even number with the sum ``bits``."""
     lengths = np.arange(form.shortest_run, form.longest_run + 1)
     weights = form.growth ** -lengths.astype(np.float64)
     weights /= weights.sum()
@@ -371,8 +371,8 @@ def fingers(
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # A ridge is added only to the columns of samples near it. In other columns the height of the ridge is smaller
-        # than rounding errors.
+        # A ridge of fingers is added only to the columns of samples near it. In other columns the height of the ridge
+        # is smaller than rounding errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]

@@ -239,7 +239,7 @@ def _meander(
 
 
 def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Return two triangles per quadrilateral of a grid of vertices, with normals as those of ``grid_faces``.
+    """Return two triangles per quadrilateral of a grid of vertices, oriented like the faces of ``grid_faces``.
 
     The direction of the diagonals alternates from one quadrilateral to the next. Means over the faces around a vertex
     are therefore not biased to one side.

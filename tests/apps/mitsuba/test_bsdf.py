@@ -1,8 +1,7 @@
-"""The BSDF plug-in for Mitsuba 3, compared with ``wd.brdf`` and with order efficiencies, and checked by Mitsuba's
-chi-square test.
+"""The BSDF plug-in for Mitsuba 3: compared with ``wd.brdf`` and order efficiencies, and tested by Mitsuba.
 
-``make test-mitsuba`` installs the requirements. Mitsuba's compiled variants (``llvm_…``) need LLVM 17 or newer, because
-older versions crash.
+Mitsuba's own chi-square test compares the sampled directions with the sampling density. ``make test-mitsuba`` installs
+the requirements. Mitsuba's compiled variants (``llvm_…``) need LLVM 17 or newer, because older versions crash.
 """
 
 import glob
@@ -126,7 +125,7 @@ def test_colours_equal_those_of_baked_lobes(lobes_file):
 
 
 def chi_square(bsdf):
-    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``. Its cells resolve order widths of a few degrees."""
+    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``, with cells of directions smaller than the orders."""
 
     def sample(numbers):
         count = dr.width(numbers)
@@ -153,7 +152,7 @@ def test_samples_follow_their_density(variant, request, tmp_path, monkeypatch):
 @needs_llvm
 @pytest.mark.parametrize("degrees", [0.0, 30.0])
 def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectrum_file, degrees):
-    """The mean weight of the samples must lie between two sums of order efficiencies.
+    """The mean weight (BRDF · cos θo / density) of sampled directions must lie between two sums of order efficiencies.
 
     The larger sum contains all orders. The smaller sum excludes orders near the horizon, because the horizon cuts off a
     part of their light.
@@ -167,9 +166,9 @@ def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectr
     weights = np.array(weights).reshape(4, count)
     result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
-    # The lobe of an order is its peak over the directions. The smaller sum contains only orders that are farther from
-    # the horizon than the width of a lobe. The horizon cuts off parts of the other lobes. The efficiencies of these
-    # other orders are proportional to 1/cos θr, which diverges at the horizon.
+    # The lobe of an order is the narrow range of directions into which it reflects light. The smaller sum contains only
+    # orders whose lobes are completely above the horizon. The efficiencies of the other orders are proportional to
+    # 1/cos θr, which diverges at the horizon.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
     assert np.all(result > least - 4.0 * noise - 0.01 * least)

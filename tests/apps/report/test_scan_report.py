@@ -1,6 +1,4 @@
-"""Reports of scans: the files of a report, and its numbers with their errors. If a result is missing, the page states
-the reason.
-"""
+"""Reports of scans: the files of a report, its numbers with their errors, and the reasons for missing results."""
 
 import csv
 import hashlib

@@ -1,4 +1,4 @@
-"""Controls of the viewer's page: they are made from descriptions of options, and errors call them by their labels."""
+"""Controls of the viewer's page: they are made from descriptions of options, and error messages show their labels."""
 
 import json
 

@@ -1,7 +1,7 @@
 """The viewer's page in a real browser; see ``make test-browser`` for the requirements.
 
-The tests operate the page's controls, and compare the pixels of its canvas. A plan holds the method and the numbers of
-a computation, such as wavelengths and terms of a series.
+The tests operate the page's controls, and compare the pixels of its canvas. A plan states how colours are computed: the
+method, the number of wavelengths, the number of series terms and so on.
 """
 
 import base64
@@ -254,7 +254,7 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
     # The page shows Python lines that draw its picture by a `Renderer`. The function ``shade`` must draw the same
-    # picture if it uses the plan (method and numbers) of this renderer.
+    # picture if it uses the plan (method, number of wavelengths and so on) of this renderer.
     single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )

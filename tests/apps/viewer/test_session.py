@@ -41,7 +41,7 @@ class Page:
         self.studio, self.session = studio, studio.session(lambda *sent: self.messages.put(sent))
 
     def until(self, holds):
-        """Return all messages up to the first for which ``holds`` is true, and acknowledge each picture among them."""
+        """Return all messages to the page up to the first for which ``holds`` is true; acknowledge each picture."""
         received = []
         while not received or not holds(received[-1][0]):
             received.append(self.messages.get(timeout=WAIT_S))
@@ -115,8 +115,8 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
         pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
-        # The saved file must equal the picture on the page. The command line that the page shows makes its own plan
-        # (numbers of wavelengths and terms), so that its picture is only similar.
+        # The saved file must equal the picture on the page. The command line that the page shows chooses its own number
+        # of wavelengths and series terms, so that its picture is only similar.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
@@ -142,8 +142,8 @@ def test_a_released_control_is_refined_immediately(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1, moving=True))
         page.until(lambda message: message["kind"] == "picture")
-        # The control is released at the value of the last preview, or slightly beyond it. In both cases the first
-        # picture after the release is refined.
+        # The user drags a slider, and releases it at the value of the last preview, or slightly beyond it. In both
+        # cases the first picture after the release is refined.
         for generation, azimuth_deg in ((2, 20.0), (4, 31.0)):
             studio.request(page.session, page_request(generation, azimuth_deg=azimuth_deg))
             ((first, _), *_) = (part for part in page.until(is_last) if part[0]["kind"] == "picture")
@@ -152,7 +152,7 @@ def test_a_released_control_is_refined_immediately(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # If a control changes without a preceding movement (a drag), the first picture is an unrefined preview.
+            # If a control changes without a preceding drag, the first picture is an unrefined preview.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)
@@ -210,7 +210,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # Very short time limits for previews have the same effect as a slow machine.
+        # If the time limits for previews are very short, the viewer behaves as on a slow machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):
@@ -221,7 +221,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
         assert len(moving) == 2
         assert {message["tolerance"] for message in moving} == {None}
         assert moving[0]["height"] < 240
-        # The first picture after the movement has full size and is unrefined.
+        # The first picture after the drag has full size and is unrefined.
         studio.request(page.session, page_request(10, azimuth_deg=27.0))
         received = page.until(lambda message: is_last(message) and message["generation"] == 10)
         first, *_ = (part for part, _ in received if part["kind"] == "picture" and part["generation"] == 10)

@@ -92,7 +92,7 @@ RENDER = """(wanted) => {
 
 
 def render(shown, frames, **wanted):
-    """Let the page render ``frames`` frames. Return XYZ and coverage of their mean, with row 0 at the top."""
+    """Let the page render ``frames`` frames. Return XYZ and coverage of their mean picture, with row 0 at the top."""
     done = 0
     while done < frames:
         width, height, text = shown.evaluate(

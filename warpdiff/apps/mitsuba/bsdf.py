@@ -94,8 +94,8 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 class _Table:
     """Table of a baked spectrum (powers) or of baked lobes (colours), in arrays of Mitsuba's current variant.
 
-    The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The power (or colour) at a point of
-    the grid is a sum of functions, each of which is multiplied by a coefficient of this point. The argument of the
+    The table is a square grid with the coordinates q = (u, v)/λ for a spectrum, and (u, v) for colours. The power (or
+    colour) at a grid point is a sum of functions, each multiplied by a coefficient of this point. The argument of the
     functions is κ = w/λ for a spectrum and w for colours.
 
     Attributes:
@@ -148,13 +148,13 @@ class _Table:
         return (share * (entries - 1) + 0.5) / entries
 
     def zeroth_at(self, value: Variant) -> Variant:
-        """Return the zeroth order's power at a value of κ = w/λ, or its colour at a value of w in RGB variants."""
+        """Return the zeroth order's power at a value of κ = w/λ; in RGB variants, its colour at a value of w."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
 
     def coefficients(self, x: Variant, y: Variant) -> Variant:
-        """Return the interpolated coefficients at the coordinates (x, y) of the grid."""
+        """Return the interpolated coefficients of the table at the coordinates (x, y) of its grid."""
         import mitsuba as mi
 
         scale = 0.5 / self.largest
@@ -167,13 +167,13 @@ class _Table:
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
     def gaussian(self, x: Variant, y: Variant) -> Variant:
-        """Return the density of the zeroth order's Gaussian peak (lobe) at the coordinates (x, y) of the grid."""
+        """Return the density of the zeroth order's Gaussian lobe at the coordinates (x, y) of the table's grid."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Return the probability density with which the sampling selects the coordinates (x, y) of the grid."""
+        """Return the probability density with which sampling selects the coordinates (x, y) of the table's grid."""
         import drjit as dr
         import mitsuba as mi
 
@@ -202,9 +202,10 @@ def _spectrum(filename: str) -> _Table:
 
 
 def _colours(filename: str) -> _Table:
-    """Return the table of RGB variants, over (u, v) and w, from a file of ``BakedLobes``.
+    """Return the table of colours for RGB variants, over (u, v) and w, from a file of ``BakedLobes``.
 
-    The channels of the grid are red, green and blue of the first function, then those of the second, and so on.
+    The channels of its grid are the coefficients of the first basis function for red, green and blue, then those of the
+    second, and so on.
     """
     import mitsuba as mi
 
@@ -233,10 +234,10 @@ def _colours(filename: str) -> _Table:
 
 
 def _bsdf_class(table_of: Variant) -> Variant:
-    """Return the plug-in's class for Mitsuba's current variant.
+    """Return the class of the BSDF plug-in for Mitsuba's current variant.
 
     Args:
-        table_of: Function that returns the table of a file, given its name.
+        table_of: Function that returns the table of baked colours or powers in a file, given the file's name.
     """
     import drjit as dr
     import mitsuba as mi
@@ -257,7 +258,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             self.m_flags = flags
 
         def _scales(self, si: Variant) -> list[Variant]:
-            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm, or 1 in RGB variants."""
+            """Return the factors from grid coordinates to (u, v): the ray's wavelengths [µm]; 1 in RGB variants."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]
@@ -356,7 +357,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
         def to_string(self) -> str:
-            """Return the plug-in's name and the table's size."""
+            """Return the name of the plug-in and the size of its table of baked colours or powers."""
             return f"WarpdiffBSDF[{self._table.size} × {self._table.size} cells]"
 
     return WarpdiffBSDF

@@ -92,7 +92,7 @@ def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
 
 
 def _refusal(file: Path, what: str, remedy: str) -> ArgumentValueError:
-    """Return the error for a file that cannot be compared, with the reason and a remedy."""
+    """Return the error for a file of a measured curve that cannot be used, with the reason and a remedy."""
     return ArgumentValueError(f"{ref('compare')}: {str(file)!r} {what}; {remedy}")
 
 
@@ -157,7 +157,7 @@ class CurveComparison:
         residual: Root mean square difference of the measured and the scaled computed values, relative to the largest
             magnitude of the measured values.
         correlation: Correlation coefficient of the measured and the computed values; NaN if either curve is constant.
-        what: Computed quantity in words, for the page.
+        what: Name of the computed quantity, which the page shows.
     """
 
     measured: MeasuredCurve
@@ -177,7 +177,7 @@ def compare_curves(measured: MeasuredCurve, computed: NDArray[np.float64], what:
     Args:
         measured: Measured curve.
         computed: Computed values at the positions of the measured curve, shape (n,).
-        what: Computed quantity in words, for the page.
+        what: Name of the computed quantity, which the page shows.
 
     Raises:
         ValueError: All computed values are zero.

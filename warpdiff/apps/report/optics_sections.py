@@ -1,4 +1,4 @@
-"""Sections of a report about reflected light: theory, orders, colours, map, and comparison with a measurement."""
+"""Sections of a report about diffraction: reliability of scalar theory, orders, colours, map, comparison with data."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _MOST_ORDERS = 15
 # Text in the table of orders for an efficiency that is smaller than its error.
 _NOT_DISTINGUISHABLE = "not distinguishable from zero"
 # The table of orders lists signed angles only if all orders are in the plane of the light and the normal. The number is
-# the largest distance of the end of an order's unit vector from this plane. It is the sine of an angle of 0.06°.
+# the largest distance of the end of an order's unit vector from this plane, the sine of an angle of 0.06°.
 _IN_PLANE = 1e-3
 # Explanation of the three grades of reliability of scalar diffraction, as HTML text.
 _GRADES = (
     "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "
     "not their brightness. Invalid: use nothing but the angles of orders."
 )
-# Sentences that explain why scalar diffraction has an error, by the reason in the library's verdict on it.
+# Sentences that explain why scalar diffraction is inaccurate, by the name of the reason that the library gives.
 _CAUSES = {
     "energy": (
         " Scalar diffraction does not conserve energy: the efficiencies of all orders sum to more or less than the "
@@ -131,7 +131,7 @@ def _is_plane(data: ReportData, table: Table) -> bool:
 
 
 def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
-    """Return the rows of the strongest orders of each wavelength, and the number of orders without a row."""
+    """Return table rows of the strongest diffraction orders per wavelength, and the number of orders without a row."""
     columns = table.columns
     is_period = "order" in columns
     has_periods = is_period and len(np.unique(columns["period_um"])) > 1

@@ -52,12 +52,12 @@ _MOST_ORDER = 20
 # middle. At 450 nm this middle is a square of 100 µm, which is wider than the default coherence window. The number was
 # chosen so that the computation takes seconds. If doubled, the time doubles.
 _MOST_PATCH_ORDERS = 2e5
-# Least length of the cropped field, relative to the length of the uncropped field, at which the field counts as not
+# Smallest length of the cropped field, relative to the length of the uncropped field, at which the field counts as not
 # cropped. The ratio is below 1 because lengths are rounded.
 _WHOLE = 0.999
-# A field in which no wave repeats counts as a single period of a grating if it has at most this number of diffraction
-# orders. The number was chosen so that the table of these orders fits on a page. Patches of rough surfaces have
-# thousands of orders.
+# A field in which no wave repeats counts as one period of a grating if the grating has at most this number of
+# diffraction orders. The number was chosen so that the table of these orders fits on a page. Patches of rough surfaces
+# have thousands of orders.
 _MOST_CELL_ORDERS = 60
 # Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. It was chosen because this angle is
 # common in goniometers.
@@ -294,7 +294,7 @@ def _order_count(part: HeightField, wavelength_nm: float) -> float:
 
 
 def _optical(part: HeightField) -> HeightField:
-    """Return a copy of a field, in which missing samples are interpolated.
+    """Return a copy of a height field, in which missing samples are interpolated.
 
     The copy has no results from earlier computations, so that all warnings are issued again.
     """
@@ -438,7 +438,7 @@ def _of_periods(
 
 
 def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> OrderEfficiencies:
-    """Return the efficiencies of the orders of one period, in a form that can be plotted.
+    """Return the efficiencies of the diffraction orders of one period in the table, in a form that can be plotted.
 
     The table lists an order by its number m. The result lists the same order as (0, m), an order of a grating along x.
     """

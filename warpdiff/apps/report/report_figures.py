@@ -38,7 +38,7 @@ _WIDE, _SQUARE = 5.6, 5.4
 # The report also shows the middle of a field enlarged, a square with the side `_ZOOM_UM` [µm]. This picture exists only
 # if each side of the field is at least `_LEAST_FIELD` times as long as the side of the square.
 _ZOOM_UM, _LEAST_FIELD = 10.0, 2.0
-# Highest frequency of the enlarged power spectrum, relative to the frequency of the strongest period.
+# Highest frequency in the enlarged plot of the power spectrum, relative to the frequency of the strongest period.
 _SPECTRUM_PERIODS = 4.0
 # Factor by which the second colour strip is brighter than the first one, so that it shows weak orders.
 _BRIGHTER = 16.0
@@ -85,7 +85,7 @@ def figures_of(data: ReportData) -> list[Figure]:
 def _drawn(
     kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], object], *, rows: int = 1
 ) -> str:
-    """Call ``draw`` with new axes, or with an array of axes for several rows, and return the picture as a data URI."""
+    """Return a picture as a data URI. ``draw`` draws it into new axes, or into an array of axes for several rows."""
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
 

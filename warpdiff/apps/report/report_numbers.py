@@ -85,7 +85,7 @@ def _sha256(file: Path) -> str | None:
 
 
 def _settings(data: ReportData) -> JsonObject:
-    """Return the arguments of the report, and all settings of its evaluations including default values, by name."""
+    """Return the arguments of the report, and all settings of its optical computations including defaults, by name."""
     request = data.request
     settings = EvaluationSettings(**request.settings)
     values = {option.name: getattr(settings, option.name) for option in dataclasses.fields(settings)}

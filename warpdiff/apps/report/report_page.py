@@ -143,7 +143,7 @@ def _material(numbers: JsonObject) -> str:
 
 
 def _has_large_error(parameter: RoughnessParameter) -> bool:
-    """Whether the standard error of a parameter exceeds half of its value, or the parameter has no value."""
+    """Whether the standard error of a roughness parameter exceeds half of its value, or the parameter has no value."""
     return parameter.value is None or has_large_error(parameter.value, parameter.standard_error)
 
 

@@ -40,7 +40,7 @@ def absent_text(data: ReportData, name: str) -> str:
 
 
 def grade_text(grade: str) -> str:
-    """Return the HTML text of a grade of reliability."""
+    """Return the HTML text of the grade of reliability of scalar diffraction: reliable, qualitative or invalid."""
     return f'<span class="grade {grade}">{grade}</span>'
 
 

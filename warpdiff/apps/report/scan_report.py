@@ -82,7 +82,7 @@ def report(
     illuminant: str | Spectrum = "D65", title: str | None = None, progress: Progress = None,
     **settings: Unpack[EvaluationKeywords],
 ) -> ScanReport:  # fmt: skip
-    """Write the report of a height field: one web page without links to other files, and its numbers.
+    """Write the report of a height field: one web page without links to other files, and files with its numbers.
 
     The page has the map of the heights and a profile, the cleaning steps, the ISO 25178 parameters, the power spectrum
     and its periods, the verdict on scalar diffraction (its expected error), the diffraction orders with their angles

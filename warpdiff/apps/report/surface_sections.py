@@ -73,7 +73,7 @@ def surface_section(data: ReportData, numbers: JsonObject) -> str:
 
 
 def _stated(arguments: dict[str, str]) -> str:
-    """Return a text that lists the sizes and units that the user has stated, or says that the file states them."""
+    """Return a text that lists the lengths and units that the user stated for a scan, or that its file states them."""
     names = [f"{name} = {value}" for name, value in arguments.items() if name not in ("channel", "rows")]
     return f"stated by the user: {', '.join(names)}" if names else "from the file"
 

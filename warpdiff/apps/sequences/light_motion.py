@@ -48,7 +48,7 @@ class Rotation:
         return np.asarray(np.eye(3) + math.sin(self.angle) * cross + (1.0 - math.cos(self.angle)) * cross @ cross)
 
     def rotated(self, lights: Sequence[Light]) -> tuple[Light, ...]:
-        """Return the rotated lights. Environment lights can rotate about +y or −y only."""
+        """Return the lights after the rotation. Environment lights can rotate about +y or −y only."""
         if self.angle == 0.0:
             return tuple(lights)
         return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
@@ -79,7 +79,7 @@ class Rotation:
 
 
 def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit vector from the point ``centre`` to the first of the lights."""
+    """Return the unit vector from the point ``centre`` to a directional or point light, the first light of a shot."""
     if isinstance(light, DirectionalLight):
         return np.array(light.to_light)
     if isinstance(light, PointLight):

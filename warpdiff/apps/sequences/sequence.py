@@ -189,13 +189,13 @@ def _check_shots(shots: Any, renderer: Renderer) -> None:
 
 
 def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
-    """Return a hash of everything that determines the files: renderer, shots, and options of saving."""
+    """Return a hash of everything that determines the files of a sequence: renderer, shots, and options of saving."""
     digest = hashlib.sha256(str(_VERSION).encode())
     _feed(digest, saving)
     state = renderer.__getstate__()
     settings = state["settings"]
-    # Tolerance, method and integration over wavelengths are not hashed themselves. They determine the plan, which holds
-    # the numbers of the computation. The plan is hashed.
+    # Tolerance, method and integration over wavelengths are not hashed themselves. They determine the plan (method,
+    # number of wavelengths and so on), which is hashed.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Largest number of shots. It was chosen so that a sequence of one hour is possible, which has 86,400 frames at 24
 # frames per second. A shot requires a few kilobytes.
 MOST_SHOTS = 100_000
-# Largest number of turns. It was chosen because a larger number is probably an angle in degrees.
+# Largest number of turns of a turntable or of moving lights. A larger number is probably an angle in degrees.
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
 Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]
@@ -234,7 +234,7 @@ def camera_path(
 
 
 def _check_lights(lights: Any) -> list[Light]:
-    """Return one light or several as a checked list."""
+    """Return the lights of a shot as a checked list. The argument is one light or several."""
     result = listed(lights)
     for index, light in enumerate(result):
         if isinstance(light, LobeLight):
@@ -243,7 +243,7 @@ def _check_lights(lights: Any) -> list[Light]:
 
 
 def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
-    """Return the names of the columns of a CSV file, and its numbers, shape (rows, columns)."""
+    """Return the names of the columns of a camera path's CSV file, and its numbers, shape (rows, columns)."""
     source = validation.path(path, "path")
     try:
         with naming_file(source), source.open(encoding="utf-8-sig", newline="") as file:
@@ -278,7 +278,7 @@ def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Interpolate ``count`` rows by monotone cubics through ``rows``; the first and the last row are unchanged."""
+    """Interpolate ``count`` rows of a camera path by monotone cubics through ``rows``; the end rows are unchanged."""
     from scipy.interpolate import PchipInterpolator
 
     if len(rows) == 1:

@@ -39,7 +39,7 @@ METALS = {
     "Al": "aluminium", "Ag": "silver", "Au": "gold", "Cr": "chromium", "Cu": "copper", "Ni": "nickel",
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
-# Labels of the values of ``tangents`` that are rules.
+# Labels of the values of the option ``tangents`` that are names of rules, not vectors.
 RULES = {rule: rule.replace("around-", "around world ") if len(rule) > 1 else f"world {rule}" for rule in TANGENT_RULES}
 # Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
@@ -48,7 +48,7 @@ EXCLUDED = (
     *("coherence", "material", "tangents"),
     # Options that the command line of ``warpdiff view`` sets.
     *("device", "threads"),
-    # Options that the viewer sets itself, because it refines a picture in stages until the tolerance is met.
+    # Options that the viewer sets, because it refines a picture in stages until the tolerance is met.
     *("tolerance", "refine", "strict", "plan"),
     # Options that the library's planner selects automatically, from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
@@ -66,7 +66,7 @@ _TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
 _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
 # Picture heights that the page offers [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
-# Texts by which error messages on the page name the arguments of the library that no control sets.
+# Names of arguments of the library that no control sets, as error messages on the page print them.
 _WORDS = {
     "lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera",
     "tangents": _X_AXIS[0],
@@ -149,7 +149,7 @@ class Control:
 
     @property
     def schema(self) -> dict[str, Any]:
-        """Description of the control for the page, with the keys of JSON Schema, and further keys in ``"x-ui"``."""
+        """Description of the control for the page, by the keys of JSON Schema, with further keys in ``"x-ui"``."""
         low, high, step = self.slider or (None, None, None)
         kind = "integer" if self.option.kind in ("integer", "integers") else _JSON_TYPES[type(self.default)]
         described = {
@@ -291,7 +291,7 @@ def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more:
 
 
 def _further(settings: type, call: str, known: set[str]) -> list[Control]:
-    """Return controls for the options of a class that are flags, choices or bounded numbers, unless ``known`` has them.
+    """Return controls for the options of a class that are flags, choices or bounded numbers, except ``known`` ones.
 
     Args:
         settings: Class of settings.

@@ -1,7 +1,7 @@
 """Objects that the pictures of the viewer's pages share: surfaces, height fields, lights and renderers, in caches.
 
-A renderer refines a picture by dividing pixels into smaller cells until the colours meet the tolerance. A plan holds
-the method and the numbers of a computation, such as wavelengths and terms of a series.
+A renderer refines a picture by dividing pixels into smaller cells until the colours meet the tolerance. A plan states
+how colours are computed: the method, the number of wavelengths, the number of series terms and so on.
 """
 
 from __future__ import annotations
@@ -94,13 +94,13 @@ class SceneObjects:
     def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
         """Make a renderer of small pictures, from which renderers of any picture size are derived.
 
-        The disk cache stores the plan of this renderer (method and numbers of samples), because planning requires
-        seconds.
+        The disk cache stores the plan of this renderer (method, number of wavelengths and so on), because planning
+        requires seconds.
         """
         report()
         heightfield, surface, options = self.height_field(scene), self.surface(scene), scene.shading
-        # A plan (method and numbers) depends on the spectra of the lights, but not on their directions. The simplified
-        # lights of an unrefined preview are therefore sufficient here.
+        # A plan (method, number of wavelengths and so on) depends on the spectra of the lights, but not on their
+        # directions. The simplified lights of an unrefined preview are therefore sufficient here.
         lights = self.lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self.device.alias, "threads": self.threads, "refine": False}
@@ -113,12 +113,12 @@ class SceneObjects:
 
         def plan() -> dict[str, Any]:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            # The viewer shows one height field on the whole mesh. The renderer therefore has a single plan (method and
-            # numbers), and not one plan per part of the mesh.
+            # The viewer shows one height field on the whole mesh. The renderer therefore has a single plan (method,
+            # number of wavelengths and so on), and not one plan per part of the mesh.
             return {"plan": cast("wd.Plan", made[0].plan).to_json()}
 
-        # The viewer computes one plan (method and numbers) for pictures with and without shadows, because shadows do
-        # not change a plan.
+        # The viewer makes one plan (method, number of wavelengths and so on) for pictures with and without shadows,
+        # because shadows do not change a plan.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
         key = "plan", str(planned), *_illuminants(scene), scene.tolerance, heightfield.pitch_um, self.device.alias
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)

@@ -259,8 +259,8 @@ class _Page:
         if data is not None:
             head = text.encode()
             message = struct.pack("<I", len(head)) + head + data
-        # After the end of the server, its event loop is closed and raises ``RuntimeError``; the message is then
-        # discarded.
+        # After the end of the server, its event loop is closed and raises ``RuntimeError``. The message to the page is
+        # then discarded.
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._put, message)
 
@@ -294,7 +294,7 @@ class _Page:
             await self._connection.send(await self._queue.get())
 
     async def _take(self, message: str | bytes) -> None:
-        """Execute a message of the page: request a picture, save the last one, or note that the page has shown one."""
+        """Handle a message of the page: request a picture, save the last picture, or confirm that one was shown."""
         try:
             content = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):

@@ -42,21 +42,21 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.page_calls import NamedFiles, PageRequest
 
-# Tolerances of the intermediate pictures that are drawn before the picture with the requested tolerance.
+# Tolerances of the pictures that are drawn between a preview and the picture with the requested tolerance.
 TOLERANCES = (0.1, 0.03)
 # Time for which a page must be idle while a mouse button is still down, before its picture is refined [s]. The time is
 # limited because users notice a delay of twice this time.
 _REST_S = 0.15
-# Largest number of pictures that are sent to a page before it has shown the first of them. The number is limited
-# because twice the number doubles the delay on a slow connection.
+# Largest number of pictures that were sent to a page and not shown by it yet. The number is limited because twice the
+# number doubles the delay on a slow connection.
 _MOST_IN_FLIGHT = 2
-# Time limits for rendering a preview during a movement [s]. A preview that is expected to exceed `_MOVING_S` gets fewer
-# pixels, but not fewer than `_LEAST_PIXELS`. If a preview of this size is expected to exceed `_LEAST_MOVING_S`, it gets
-# still fewer pixels. The limits correspond to about 15 and 12 pictures per second.
+# Time limits for rendering a preview while the user drags [s]. A preview that is expected to exceed `_MOVING_S` gets
+# fewer pixels, but not fewer than `_LEAST_PIXELS`. If a preview of this size is expected to exceed `_LEAST_MOVING_S`,
+# it gets still fewer pixels. The limits correspond to about 15 and 12 pictures per second.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
-# Factors by which the width and height of a preview may be reduced during a movement.
+# Factors by which the width and height of a preview may be reduced while the user drags the camera or a control.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` of a movement.
+# Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` while the user drags.
 _LEAST_PIXELS = 320 * 240
 # The median time of the last `_TIMED` previews predicts the time of the next preview. The size of previews increases
 # only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the size would change
@@ -76,7 +76,7 @@ class _CancelledError(Exception):
 
 
 class Stage(NamedTuple):
-    """One of the successive pictures of a request.
+    """One of the successive pictures that answer a page's request, each more accurate than the one before.
 
     Attributes:
         tolerance: Tolerance to which the picture is refined; None is a preview with one sample per pixel.
@@ -88,7 +88,7 @@ class Stage(NamedTuple):
 
 
 def stages_to(tolerance: float) -> list[Stage]:
-    """Return the stages of a request: a preview, intermediate tolerances, and the requested tolerance."""
+    """Return the stages of a request for a picture: a preview, intermediate tolerances, and the requested tolerance."""
     return [Stage(None), *(Stage(larger) for larger in TOLERANCES if larger > tolerance), Stage(tolerance, last=True)]
 
 
@@ -108,7 +108,7 @@ class Session:
         stage: Index of the next stage to draw; see :class:`Stage`.
         drawn_at: Time at which the last picture was sent, by ``time.monotonic`` [s].
         drawn_request: Request that the last picture answered.
-        exposure: Automatic exposure factor of the last picture that was not a preview of a movement.
+        exposure: Automatic exposure factor of the last picture that was not a preview during a drag.
         picture: The last picture, with the options of its display transform.
     """
 
@@ -167,7 +167,7 @@ class Studio:
             self._changed.notify()
 
     def request(self, session: Session, request: PageRequest) -> None:
-        """Replace the request of a page by a newer one."""
+        """Replace a page's request for a picture by a newer request."""
         with self._changed:
             session.request = request
             self._changed.notify()
@@ -242,8 +242,8 @@ class Studio:
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:
-                        # After a movement, the last preview is refined at once if it has the full size. Otherwise, a
-                        # preview of the full size comes first.
+                        # After a drag, the last preview is refined at once if it has the full size.
+                        # Otherwise, a preview of the full size comes first.
                         session.stage = int(len(session.picture[0].mask) == request.values["height"])
                     if session.stage > pictures:
                         continue
@@ -260,13 +260,13 @@ class Studio:
                 self._changed.wait(min(waits, default=None))
 
     def _is_current(self, session: Session, request: PageRequest, index: int) -> bool:
-        """Whether to finish a stage: its request is the page's newest, and no other page waits for a preview."""
+        """Whether to finish a picture: its request is the page's newest, and no other page waits for a preview."""
         newest = session.request
         if not session.open or newest is None:
             return False
         if index == 0 and request.moving:
-            # A preview during a movement is finished even if a newer request has arrived. If each new request cancelled
-            # it, the page would show no picture until the movement ends.
+            # A preview during a drag is finished even if a newer request has arrived. If each new request cancelled the
+            # preview, the page would show no picture until the drag ends.
             return not _is_released(session, newest)
         others = [
             other for other in tuple(self._sessions) if other is not session and other.in_flight < _MOST_IN_FLIGHT
@@ -290,7 +290,7 @@ class Studio:
         return progress
 
     def _serve(self, session: Session, request: PageRequest, index: int) -> None:
-        """Draw and send the pictures of a request, starting at the stage with the index ``index``.
+        """Draw and send the pictures (stages) of a request, starting at the stage with the index ``index``.
 
         If all pictures were sent, send the directions to light and viewer at the probe, a point that the user selects,
         and the reflectance map instead.
@@ -365,7 +365,7 @@ class Studio:
             self._times.append((time.perf_counter() - built) / math.sqrt(view.width * view.height))
 
     def _smaller(self, view: wd.View) -> wd.View:
-        """Return the camera of a preview: ``view`` with as many pixels as the time limits of a movement allow."""
+        """Return the camera of a preview: ``view`` with as many pixels as the time limits during a drag allow."""
         pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
         expected = statistics.median(self._times) if self._times else 0.0
@@ -387,8 +387,8 @@ class Studio:
     ) -> dict[str, Any]:
         """Return the options of a picture's display transform.
 
-        During a movement (``moving``) and if the user has locked the exposure, the exposure of an earlier picture is
-        used.
+        While the user drags (``moving``), and if the user has locked the exposure, the exposure of an earlier picture
+        is used.
         """
         if session.exposure is None or not (moving or request.values["lock_exposure"]):
             session.exposure = min(image.auto_exposure, validation.MOST * 1e-6)
@@ -451,12 +451,12 @@ def _message(kind: str, request: PageRequest, **more: Any) -> dict[str, Any]:
 
 
 def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
-    """Whether two requests have the same picture. They may differ in number (generation), movement and probe point."""
+    """Whether two requests have the same picture. Their numbers, probe points and ``moving`` (a drag) may differ."""
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:
-    """Whether a movement has just ended: the last picture was a part of the movement, and the new request is not."""
+    """Whether a drag has just ended: the last picture was drawn during the drag, and the new request follows it."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving

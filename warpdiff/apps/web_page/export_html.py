@@ -49,11 +49,11 @@ if TYPE_CHECKING:
 # only the half-space in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
 # Texels per side of the Cartesian grid over (u, v) to which the page resamples the table of colours, and number of
-# frames that the page averages while nothing moves. Both are limited: twice the texels per side require four times the
-# graphics memory, and twice the frames require twice the time.
+# frames that the page averages while nothing moves. Twice the texels per side would require four times the graphics
+# memory, and twice the frames would require twice the time.
 _SIZE, _FRAMES = 1024, 1024
-# Number of wavelengths over which a page sums the zeroth order. The number is limited because a page allows 64 texture
-# fetches per fragment, of which the look-up in the table of baked colours needs most.
+# Number of wavelengths over which a page sums the zeroth order. The number is limited because a page may use 64 texture
+# fetches per fragment, and looking up baked colours needs most of them.
 _WAVELENGTHS = 10
 # Number of values of |w| at which the page has the power of the zeroth order; it interpolates linearly between them.
 # w is the component of the scattering vector along the normal.
@@ -283,9 +283,8 @@ def _defined_normals(surface: Surface) -> Any:
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     """Store the baked lobes (table of colours over all directions) in the arrays of the page.
 
-    The arrays are the coefficients, the functions of w, and the power of the zeroth order.
-
-    The functions of w are stored in groups of four, one group per texel.
+    The arrays are basis functions of w, their coefficients for each (u, v), and the power of the zeroth order. Four
+    functions share a texel.
 
     Returns:
         The entries of the page's header that describe the baked lobes.

@@ -1,4 +1,4 @@
-"""Compression of a page's arrays: integers are stored as differences, all lowest bytes first, and deflated.
+"""Compression of a web page's arrays: integers are stored as differences, all lowest bytes first, and deflated.
 
 The function ``unpack`` of ``page/page.js`` decompresses the arrays.
 """
@@ -19,10 +19,10 @@ STEPS = 65_535
 
 
 class Arrays:
-    """Arrays of a page with their names, concatenated to one sequence of bytes.
+    """Arrays of a web page, such as vertices and baked colours, concatenated to one sequence of bytes.
 
     Attributes:
-        entries: Table of contents for the page: name, type, shape, first byte and number of bytes of each array.
+        entries: Table of contents of the bytes: name, type, shape, first byte and number of bytes of each array.
     """
 
     def __init__(self) -> None:
