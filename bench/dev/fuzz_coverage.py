@@ -46,7 +46,10 @@ class Coverage:
         _counts[: _Loader.blocks] = 0
 
     def adds(self) -> bool:
-        """Add the blocks that were executed since the last reset; return whether a block or its range is new."""
+        """Add the code blocks that were executed since the last reset.
+
+        Return whether one of them is new, or its number of executions is in a new range.
+        """
         executed = np.flatnonzero(_counts[: _Loader.blocks])
         bits = _BITS[np.minimum(_counts[executed], 255)]
         known = self._bits[executed]

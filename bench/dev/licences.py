@@ -25,8 +25,8 @@ ACCEPTED = {
     "mozilla public license 2.0 (mpl 2.0)", "python software foundation license", "the unlicense (unlicense)",
     "historical permission notice and disclaimer (hpnd)", "cc0 1.0 universal (cc0 1.0) public domain dedication",
 }  # fmt: skip
-# Licences that replace those in the metadata. They were read from the licence files of the packages. The metadata of
-# meent state no licence. Those of docutils name the GPL of an Emacs mode, which its wheel does not contain.
+# Licences of packages that replace those in the packages' metadata. They were read from the licence files. The metadata
+# of meent state no licence. Those of docutils name the GPL of an Emacs mode, which its wheel does not contain.
 BY_FILE = {"docutils": "BSD-2-Clause", "meent": "MIT"}
 # Additions to licences, such as "with Classpath-exception". They only permit more than the licence, and are ignored
 # here.

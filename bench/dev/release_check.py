@@ -191,7 +191,7 @@ def check_wheel() -> str:
 
 
 def check_demo() -> str:
-    """Render the demonstration from the wheel."""
+    """Render the demonstration with the package that is installed from the wheel."""
     with tempfile.TemporaryDirectory() as folder:
         own = environment(sys.executable, Path(folder, "env"))
         run(own, "-m", "warpdiff", "demo", "--output", "demo", cwd=Path(folder))

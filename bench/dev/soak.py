@@ -97,7 +97,7 @@ def main() -> int:
     begin = time.time()
     end = begin + 60.0 * options.minutes
     results: dict[str, Row] = {}
-    # The tests are repeated until the end of the time, each time with another random seed.
+    # All tests are repeated until the requested time is over. Each repetition has another random seed.
     for number in itertools.count():
         for name, row in run(end, seed=int(end) + number).items():
             results[name] = Row(*np.add(results.get(name, Row(0, 0, 0)), row).tolist())

@@ -168,7 +168,7 @@ async def load(port: int, process: int, minutes: float, report: Report) -> tuple
 
 
 def main() -> int:
-    """Open a viewer by many clients, and print a report. Return 1 if a message was lost or a picture is wrong."""
+    """Start a viewer and many clients, and print a report. Return 1 if a message was lost or a picture is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="duration (default: 10)")
     options = parser.parse_args()

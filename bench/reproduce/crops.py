@@ -229,7 +229,7 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
 
 
 def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[Crop]:
-    """Yield a crop (part of a picture) of each body with each surface at each distance."""
+    """Yield a crop (part of a picture) of each body with each surface, at each distance of the camera."""
     for body, make in names.items():
         mesh = make()
         for surface, field in fields.items():

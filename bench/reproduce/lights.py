@@ -149,7 +149,7 @@ def _judge(
     name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
     *, options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Print the errors of pictures with ``options``, relative to sums over directions, and the estimated errors."""
+    """Render a case at several tolerances; print the errors relative to sums over directions, and estimated errors."""
     if not len(chosen):
         print(f"| {name} | 0 | no pixel is completely covered by the mesh |" + " |" * 6)
         return

@@ -93,7 +93,7 @@ class Setup:
 
     @functools.cached_property
     def natural(self) -> wd.HeightField:
-        """The scan of a snake's skin (its middle part if ``quick`` is True), or a synthetic skin without a scan."""
+        """The scan of a snake's skin, its middle part if ``quick`` is True, or a synthetic skin if ``scan`` is None."""
         if self.scan is None:
             return wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
         return self.scan.cropped(32.0) if self.quick else self.scan
@@ -111,7 +111,7 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of the first order at one wavelength, for ``count`` periods in a range."""
+    """Return view angles [degrees] of the first order at one wavelength, for ``count`` grating periods in a range."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 

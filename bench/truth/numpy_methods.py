@@ -301,7 +301,10 @@ def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
 
 
 def most_terms(heightfield, method, kappa, tolerance=1e-13):
-    """Return the number of terms that a series requires for a tolerance, but at most the library's limit."""
+    """Return the number of terms that a method's series of exp(2πiκh) requires for a tolerance at κ = ``kappa``.
+
+    h are the heights. The number is at most the library's limit.
+    """
     if method in SERIES:
         expansion = EXPANSIONS[method]
         return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)

@@ -136,7 +136,9 @@ def reflected(material, to_light, to_view, wavelengths_um):
 
 
 def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
-    """Return XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ for the illuminant S, shape (n, 3).
+    """Return XYZ for scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, with diffracted power ⟨|P|²⟩.
+
+    S is the spectrum of the illuminant.
 
     The cells of the quadrature are halved until XYZ changes by less than a twentieth of the tolerance.
     """
