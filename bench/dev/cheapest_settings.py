@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 # Width of the visible range, as a difference of wavenumbers 1/λ [1/µm].
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-# Number of directions whose errors are evaluated.
+# Number of directions of each call whose errors are evaluated.
 DIRECTIONS = 128
 # Numbers of wavelengths below 16 that are tried, in steps of about a factor 2^(1/4). A plan with one of these numbers
 # uses it for all directions, because a plan with different numbers per direction has at least 16 wavelengths.
@@ -52,8 +52,8 @@ SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of the exponent a in the least weight exp(−a) of neighbouring Fourier coefficients.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Plans are tried only if their predicted cost is at most this number times the lowest predicted cost of the plans so
-# far.
+# A plan (numbers of wavelengths and terms) is tried only if its predicted cost is at most this number times the lowest
+# predicted cost of the plans so far.
 HOPELESS = 1.6
 # Largest number of directions of one timed call. The value is limited by time: if it is doubled, the calls take twice
 # as long.
@@ -103,7 +103,7 @@ class Call:
         return cost_model.sampling_multiply_adds(self.case.heightfield, many, self.order_rate, self.w) / 1000.0
 
     def load(self, repeats: int) -> list[Any]:
-        """Return the device arrays of the directions, repeated ``repeats`` times."""
+        """Return Warp arrays with the directions of the call, repeated ``repeats`` times, and an array for colours."""
         import warp as wp
 
         if repeats not in self._arrays:
@@ -135,18 +135,21 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return errors of the directions' colours by a plan, relative to the reference, or to the floor f if dim."""
+        """Return errors ‖ΔXYZ‖ of the directions' colours, computed by a plan, relative to the reference colours.
+
+        For directions whose luminance Y is below the floor f, errors are relative to f.
+        """
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
 
     def worst(self, errors: np.ndarray) -> np.ndarray:
-        """Return the larger 99th percentile (P99) of errors (..., n): that of bright or that of dim directions."""
+        """Return the 99th percentile of errors (..., n) of bright or of dim directions, whichever is larger."""
         groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """Compute colours by a plan; return the larger 99th percentile of errors, of bright or dim directions."""
+        """Compute colours by a plan; return the 99th percentile of errors of bright or dim directions (the larger)."""
         return float(self.worst(self.errors(plan)))
 
 
@@ -249,7 +252,8 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
             bare = dataclasses.replace(with_terms, least_weight=math.exp(-EXPONENT_STEP), subdivisions=1)
             if enough == MORE_TERMS or not is_promising(bare):
                 break
-            # A series in x with fewer terms than half of the largest x does not converge, and is not evaluated.
+            # The series represents exp(ix) with the phase x = 2πwh/λ of heights h. It does not converge with fewer
+            # terms than half of the largest x, and is then not evaluated.
             expansion = EXPANSIONS.get(method)
             if expansion is not None:
                 argument = (
@@ -277,10 +281,10 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan with other numbers of neighbours or, for replicated patches, of ``subdivisions``.
+    """Return variants of a plan that sum over different numbers of neighbouring Fourier coefficients.
 
-    The first variant has the smallest number of neighbouring Fourier coefficients with which the plan meets the
-    tolerance.
+    The first variant has the smallest number with which the plan meets the tolerance. For replicated patches,
+    ``subdivisions`` varies instead.
     """
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)

@@ -174,7 +174,7 @@ def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
 
 
 def digest(values: dict[str, np.ndarray]) -> str:
-    """Return a hash of the names, types, shapes and bits of all values."""
+    """Return a hash of the names, types, shapes and bits of all values that the test cases have computed."""
     result = hashlib.sha256()
     for name, value in sorted(values.items()):
         result.update(f"{name} {value.dtype} {value.shape} ".encode())

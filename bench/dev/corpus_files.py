@@ -108,7 +108,7 @@ def baked_lobes(threads: int) -> Values:
 
 
 def baked_spectrum(threads: int) -> Values:
-    """Bake a spectrum and collect the arrays of its file."""
+    """Sample a surface's colours over scattering vectors (baked spectrum), and collect the arrays of the saved file."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=4)
     coherence = wd.Coherence(sigma_um=4.0)
     table = wd.bake_spectrum(heightfield=surface, size=32, tolerance=3e-2, coherence=coherence, threads=threads)

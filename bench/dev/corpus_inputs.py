@@ -14,7 +14,7 @@ from bench.dev.public_names import wd
 SIZE = {"width": 96, "height": 72}
 SMALL = {"width": 24, "height": 18}
 MEDIUM = {"width": 48, "height": 36}
-# Two directional lights, a light source of 2° diameter as a limit of interference, and wavelengths [nm].
+# Two directional lights; coherence of a light source with a diameter of 2°; wavelengths [nm].
 ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 SIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
@@ -22,7 +22,7 @@ WAVELENGTHS_NM = np.linspace(400.0, 700.0, 7)
 
 
 def fingers() -> Any:
-    """Return a new height field with nano-fingers as on a snake's skin. The package has no cached tables for it."""
+    """Return a new height field with finger-like bumps as on a snake's skin. No tables are cached for it."""
     return wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
 
 

@@ -48,7 +48,7 @@ def picture(
 
 
 def tube_picture(lights: Any = ABOVE, view: Any = None, **options: Any) -> Case:
-    """Return a test case that renders the tube with the height field of nano-fingers."""
+    """Return a test case that renders a tube with a synthetic height field of a snake's skin."""
     return picture(tube, fingers, view or tube_view(), lights, **options)
 
 

@@ -27,9 +27,9 @@ PERIOD_NUMBERS = (
 
 
 def normalised_energy(threads: int) -> Values:
-    """Compute spectra, colours and a map for a mirror, copper and the default material, with normalised energy.
+    """Compute spectra, colours and a reflectance map for a mirror, copper and the default material.
 
-    The normalisation scales the orders of a perfect mirror to a sum of 1.
+    They have the energy normalisation, which scales the efficiencies of the orders of a perfect mirror to a sum of 1.
     """
     options: Values = {"energy": "normalised", "threads": threads}
     metal = wd.Material.metal("Cu")

@@ -29,13 +29,13 @@ def image_values(image: Any) -> Values:
 
 
 def map_values(image: Any) -> Values:
-    """Return the arrays of a picture or of a reflectance map, with the numbers of the plan."""
+    """Return the arrays of a picture or of a reflectance map, with the numbers of its plan (wavelengths, terms)."""
     arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
     return arrays | plan_values(image.plan)
 
 
 def plan_values(plan: Any, report: Any = None) -> Values:
-    """Return the numbers of a plan, and the numbers of a picture's report if there is a picture."""
+    """Return the numbers of a plan (wavelengths, terms), and those of the report of a picture if there is one."""
     numbers = plan_numbers(plan, report)
     return {f"plan.{name}": str(value) if value is None else value for name, value in numbers.items()}
 

@@ -46,17 +46,18 @@ WORKER = ("-m", "bench.dev.fuzz")
 MOST_BYTES, MOST_S = 4 << 30, 20
 # Largest number of versions of one valid file (itself and mutated copies) from which further mutations start.
 _MOST_INPUTS = 500
-# A mutated file is cut to twice the size of the valid file, or to this size if it is larger [bytes]. Without a limit,
+# A mutated file is cut to twice the size of the valid file, but not to less than this size [bytes]. Without a limit,
 # files grow from mutation to mutation, and readers need longer for them.
 _LEAST_BYTES = 2048
-# Number of failures of one reader after which it is no longer executed.
+# Number of failures of one reader of files after which no more files are read by it.
 _MOST_FAILURES = 10
 
 
 def watch(folder: Path, failures: list[str]) -> None:
-    """Append network access, subprocesses, and opened files that a reader must not use to ``failures``.
+    """Append a text to ``failures`` whenever a reader of files does something that it must not do.
 
-    Files may be opened in the folder, in Python's folders, and in ``/proc``.
+    It must not access the network, start a subprocess, or open a file outside of ``folder``, of the folders of Python
+    and of the library, of ``/proc`` and of ``/sys/fs/cgroup``.
     """
     allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
     allowed += [ROOT / "warpdiff", ROOT / "kernels", Path("/sys/fs/cgroup")]
@@ -79,7 +80,7 @@ def watch(folder: Path, failures: list[str]) -> None:
 
 
 def problem(target: Target, path: Path, names: list[str]) -> str:
-    """Read a file, and return the description of a failure, or an empty string."""
+    """Read a file by the reader ``target``; return the description of a failure, or an empty string."""
     try:
         target.read(path)
     except target.errors as error:
@@ -97,7 +98,10 @@ def problem(target: Target, path: Path, names: list[str]) -> str:
 
 
 def fuzz(target: Target, folder: Path, *, executions: int, seconds: float, seed: int, outside: list[str]) -> Any:
-    """Read mutated files of one reader, and return numbers of executions, failures and coverage by name."""
+    """Read randomly changed files by one reader; return failures, and counts of read files and of executed code blocks.
+
+    The result is a dictionary.
+    """
     valid = {path.name: path.read_bytes() for path in sorted(target.folder.iterdir())}
     for name, content in valid.items():
         (folder / name).write_bytes(content)
@@ -140,7 +144,7 @@ def fuzz(target: Target, folder: Path, *, executions: int, seconds: float, seed:
 
 
 def work(options: argparse.Namespace) -> None:
-    """Fuzz the readers in this process, in the current folder, and print one line of JSON for each."""
+    """Fuzz the readers of files in this process, in the current folder, and print one line of JSON for each reader."""
     import resource
 
     fuzz_coverage.install()
@@ -168,7 +172,7 @@ def work(options: argparse.Namespace) -> None:
 
 
 def run(targets: list[str], *, executions: int, seconds: float, seed: int) -> list[Any]:
-    """Fuzz readers in a process of their own, and return the results of the readers, with crashes and hangs.
+    """Fuzz readers of files in a separate process, and return the results of the readers, with crashes and hangs.
 
     Args:
         targets: Names of the readers.
@@ -203,7 +207,7 @@ def run(targets: list[str], *, executions: int, seconds: float, seed: int) -> li
 
 
 def store(results: list[Any]) -> None:
-    """Write the files that failed into a folder, and print the reasons."""
+    """Write the mutated files on which a reader failed into a folder, and print the reasons of the failures."""
     for result in results:
         for number, failure in enumerate(result["failures"]):
             print(f"{result['target']}: {failure['file']}: {failure['reason']}", file=sys.stderr)

@@ -19,19 +19,20 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from types import CodeType, ModuleType
 
-# Largest number of blocks that can be counted. The library has about a sixth of this number.
+# Largest number of blocks of source code whose executions can be counted. The library has about a sixth of this number.
 _MOST_BLOCKS = 1 << 16
-# Numbers of executions of each block since the last reset, in an array for the compiled modules and for NumPy.
+# Number of executions of each block of source code since the last reset. The two variables share their memory: compiled
+# modules increase the elements of the first, and the second is a NumPy array.
 _counters = array("I", bytes(4 * _MOST_BLOCKS))
 _counts = np.frombuffer(_counters, np.uint32)
-# Ranges of numbers of executions that count as different coverage, as one bit each: 1, 2, 3, 4 to 7, 8 to 15, and so
-# on up to 128 and more.
+# Bit for the number of executions of a block by one file. Numbers in the same range have the same bit. The ranges are
+# 1, 2, 3, 4 to 7, 8 to 15, and so on up to 128 and more.
 _BITS = np.array([0, 1, 2, *(1 << min(n.bit_length(), 8) for n in range(3, 256))], np.uint16)
 _NAME = "fuzz_counters"
 
 
 class Coverage:
-    """Blocks of source code that were executed, each with the orders of magnitude of how often one file executed it."""
+    """Executed blocks of source code, each with the ranges of numbers of executions by one file, such as 4 to 7."""
 
     def __init__(self) -> None:
         self._bits = np.zeros(_MOST_BLOCKS, np.uint16)
@@ -41,11 +42,14 @@ class Coverage:
 
     @staticmethod
     def reset() -> None:
-        """Set all counters to zero."""
+        """Set the counters of executions of all code blocks to zero."""
         _counts[: _Loader.blocks] = 0
 
     def adds(self) -> bool:
-        """Add the blocks that were executed since the last reset, and return whether there were new ones."""
+        """Add the code blocks that were executed since the last reset.
+
+        Return whether one of them is new, or its number of executions is in a new range.
+        """
         executed = np.flatnonzero(_counts[: _Loader.blocks])
         bits = _BITS[np.minimum(_counts[executed], 255)]
         known = self._bits[executed]
@@ -54,7 +58,7 @@ class Coverage:
 
 
 class _Loader(SourceFileLoader):
-    """Loader that compiles a module with counters, and uses no stored bytecode.
+    """Import loader that compiles a module with counters of executed code blocks, and uses no stored bytecode.
 
     Attributes:
         blocks: Number of blocks in all compiled modules.
@@ -89,7 +93,7 @@ def _with_counters(block: list[ast.stmt]) -> Iterable[ast.stmt]:
 
 
 class _Finder:
-    """Finder of the modules of the library, which gives them the loader with counters."""
+    """Import finder that gives the modules of the library the loader with counters of executed code blocks."""
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
@@ -103,7 +107,7 @@ class _Finder:
 
 
 def install() -> None:
-    """Compile the modules of the library with counters. Call this function before they are imported."""
+    """Let imported modules of the library be compiled with counters of code blocks. Call this before their import."""
     vars(builtins)[_NAME] = _counters
     finder: Any = _Finder
     sys.meta_path.insert(0, finder)

@@ -195,7 +195,7 @@ def gds_records(content: bytes) -> list[tuple[bytes, bytes]]:
 
 
 def gds_content(records: Sequence[tuple[bytes, bytes]]) -> bytes:
-    """Return the content of a GDS layout of records, with their sizes."""
+    """Return the bytes of a GDS layout with these records (type and data), each preceded by its size."""
     return b"".join(struct.pack(">H", 4 + len(data[:65530])) + kind + data[:65530] for kind, data in records)
 
 
@@ -229,7 +229,7 @@ def _gds_damage(content: bytes, rng: random.Random) -> bytes:
     return gds_content(records)
 
 
-# Damage of files with a known structure, by the bytes at the beginning of these files.
+# Functions that damage files of a known structure, with the bytes at the beginning of these files.
 _STRUCTURES: tuple[tuple[bytes, Callable[[bytes, random.Random], bytes]], ...] = (
     (b"{", _json_damage), (b"glTF", _json_damage), (b"PK\x03\x04", _zip_damage), (b"\x93NUMPY\x01", _npy_damage),
     (b"\x1f\x8b", _gzip_damage), (b"\x89PNG", _png_damage), (b"\0\x06\0\x02", _gds_damage),

@@ -90,10 +90,10 @@ def _camera(path: Path) -> None:
 
 
 class _Connection:
-    """Stand-in for the connection of a page of the viewer."""
+    """Stand-in for the WebSocket connection between the viewer's server and its web page."""
 
     class transport:  # noqa: N801 (the name of the attribute in the package websockets)
-        """Stand-in for the transport of a connection."""
+        """Stand-in for the network transport of the WebSocket connection."""
 
         abort = staticmethod(lambda: None)
 
@@ -102,14 +102,14 @@ class _Studio:
     """Stand-in for the rendering thread of the viewer, which draws nothing."""
 
     def session(self, send: Any) -> Any:
-        """Return the function that sends messages, as a stand-in for the session."""
+        """Return ``send``, which sends messages to the page, as a stand-in for the session of a page of the viewer."""
         return send
 
     def acknowledge(self, session: Any) -> None:
         """Accept that a page has shown a picture."""
 
     def request(self, _: Any, request: Any) -> None:
-        """Check that the values of a checked request are finite numbers or texts, by writing them as JSON."""
+        """Check that the values of an accepted request of a page can be written as JSON, which excludes NaN."""
         json.dumps(request.values, allow_nan=False)
 
     def saved(self, _: Any, suffix: str) -> bytes:
@@ -118,7 +118,7 @@ class _Studio:
 
 
 _CONTROLS = controls.controls()
-# A new event loop for each message would need more time than the message.
+# Event loop for all messages. A new loop for each message would need more time than the message.
 _RUNNER = asyncio.Runner()
 
 

@@ -25,10 +25,11 @@ ACCEPTED = {
     "mozilla public license 2.0 (mpl 2.0)", "python software foundation license", "the unlicense (unlicense)",
     "historical permission notice and disclaimer (hpnd)", "cc0 1.0 universal (cc0 1.0) public domain dedication",
 }  # fmt: skip
-# Licences that replace those in the metadata. They were read from the licence files of the packages. The metadata of
-# meent state no licence. Those of docutils name the GPL of an Emacs mode, which its wheel does not contain.
+# Licences of packages that replace those in the packages' metadata. They were read from the licence files. The metadata
+# of meent state no licence. Those of docutils name the GPL of an Emacs mode, which its wheel does not contain.
 BY_FILE = {"docutils": "BSD-2-Clause", "meent": "MIT"}
-# Additions such as "with Classpath-exception". They only permit more than the licence, and are ignored here.
+# Additions to licences, such as "with Classpath-exception". They only permit more than the licence, and are ignored
+# here.
 _EXCEPTIONS = re.compile(r" with [\w.-]+", re.IGNORECASE)
 
 
@@ -51,8 +52,8 @@ def licence_of(package: metadata.Distribution) -> str:
 def is_accepted(licence: str) -> bool:
     """Whether a licence expression can be met with accepted licences only: one side of OR, and each side of AND."""
     plain = _EXCEPTIONS.sub("", licence.strip().lower())
-    # Innermost pairs of parentheses with an operator are evaluated first. Parentheses in names of licences contain no
-    # operator.
+    # Innermost parentheses that contain "and" or "or" are evaluated first. Parentheses in names of licences contain
+    # neither.
     while plain not in ACCEPTED and (group := re.search(r"\(([^()]*\s(?:and|or)\s[^()]*)\)", plain)):
         plain = plain.replace(group[0], "mit" if is_accepted(group[1]) else "refused")
     if plain in ACCEPTED:

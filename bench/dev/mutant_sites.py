@@ -27,8 +27,8 @@ PACKAGES = {
 }  # fmt: skip
 NATIVE = "kernels/native"
 
-# Replacements of tokens, old to new. If a token has several replacements, a hash of the line with the token selects one
-# of them. Names of functions are replaced only where the function is called.
+# Replacements of tokens of source code that make a fault, old to new. If a token has several replacements, a hash of
+# the line with the token selects one. Names of functions are replaced only where the function is called.
 PAIRS = (
     "min max", "minimum maximum", "argmin argmax", "any all", "sin cos", "floor ceil", "== !=", "and or", "True False",
     "+ -", "* /", "& |", "<< >>", "+= -=", "*= /=", "|= &=", "break continue",
@@ -49,7 +49,7 @@ FAULTS = Path(__file__).with_name("header_faults.txt")
 
 @dataclass(frozen=True)
 class Mutant:
-    """One fault: a change at one place of a source file.
+    """One fault for mutation testing: a change at one place of a source file.
 
     Attributes:
         package: Package of the file, or ``"native"`` for a header.
@@ -78,7 +78,7 @@ class Mutant:
 
 
 def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
-    """Return each top-level statement of a module with the names that it defines; methods follow their class."""
+    """Return the top-level statements of a module, and the methods of its classes, with the names that each defines."""
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             yield (node.name,), node

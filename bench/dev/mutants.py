@@ -57,7 +57,7 @@ PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scip
 
 
 class Recorder:
-    """Plugin of pytest that records of each test: time, failure, and the functions and kernels that it executes."""
+    """Plugin of pytest that records the time and failure of each test, and the functions and kernels it executes."""
 
     def __init__(self, tree: Path, output: Path) -> None:
         self._folders, self._output = (f"{tree}/warpdiff/", f"{tree}/kernels/"), output
@@ -133,7 +133,7 @@ def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path
 
 
 class Run:
-    """Exported copy of one commit, with its recorded tests and the results of the tried changes."""
+    """Exported copy of one commit, with its recorded tests and the results of the faults that were tried."""
 
     def __init__(self, commit: str, seed: str, most_s: float, output: Path) -> None:
         self.commit, self._most_s, self.tree = commit, most_s, output.resolve() / commit[:10]
@@ -156,7 +156,7 @@ class Run:
         self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
-        """Yield the name of each definition in a module with the names that it uses.
+        """Yield the name of each function, class and variable of the library, with the names that its definition uses.
 
         Top-level statements that define nothing run at import; the names in them count as used by every definition of
         the module.
@@ -169,12 +169,12 @@ class Run:
             yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
 
     def tests_of(self, mutant: Mutant) -> list[str]:
-        """Return the tests for a change: of the module's test file first, then of its package, and fast before slow.
+        """Return the tests to run for a fault: those of the module's test file, then those of its package, then others.
 
-        The list ends when a limit of the total time is reached. The list has the tests in the module's own test file
-        and all tests that execute the changed definition. The execution of constants, structs and functions of kernels
-        is not recorded. For a change in one of these three, the list has the tests that execute code which uses the
-        constant, struct or function.
+        In each group, fast tests come first. The list ends when a limit of the total time is reached. Apart from the
+        module's own tests, the list has all tests that execute the changed definition. The execution of constants,
+        structs and functions of kernels is not recorded. For a fault in one of these, the list has the tests that
+        execute code which uses it.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:
@@ -192,7 +192,7 @@ class Run:
         return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]
 
     def test(self, mutant: Mutant) -> None:
-        """Make one change, run the tests for it, record the result, and undo the change."""
+        """Make the fault in the copy, run the tests for it, record the result, and undo the fault."""
         begin, path, tests = time.perf_counter(), self.tree / mutant.path, self.tests_of(mutant)
         source = path.read_bytes()
         path.write_bytes(mutant.apply(source))
@@ -200,8 +200,8 @@ class Run:
         result = run_pytest(self.tree, tests, COMPILE_S + PATIENCE * self._most_s) if tests else "survived"
         path.write_bytes(source)
         # To decide whether a compiled file is current, Python compares the size and the modification time of its source
-        # with stored values. The time is in whole seconds, so that both values may be equal after a change. The
-        # compiled file is therefore deleted.
+        # with stored values. The time is in whole seconds, so that both values may be equal although the source has
+        # changed. The compiled file is therefore deleted.
         Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
         record = {
             "result": result, "package": mutant.package, "place": f"{mutant.path}:{mutant.line}", "changed": changed,

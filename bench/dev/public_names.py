@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 BASELINE = "0.1.0"
 ROOT = Path(__file__).resolve().parents[2]
 
-# Public functions that were renamed, new name to old name.
+# Public functions that were renamed after version 0.1.0, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments that were renamed, new name to old name. The mapping applies to every function that has an argument
-# of the new name.
+# Keyword arguments that were renamed after version 0.1.0, new name to old name. The mapping applies to every function
+# that has an argument of the new name.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
@@ -33,25 +33,25 @@ ARGUMENTS = {
     "delta_e": "tolerance",  # old name of the argument of bake
     "previews": "coarser",  # old name of the argument of Renderer.draw
 }
-# Functions and methods with arguments that were renamed.
+# Functions and methods of which an argument was renamed after version 0.1.0.
 RENAMED_FUNCTIONS = (
     "bake", "bake_spectrum", "brdf", "brdf_map", "camera_path", "export_html", "order_efficiencies", "plan",
     "reflectance", "shade", "spectral_reflectance", "turntable",
 )  # fmt: skip
 RENAMED_METHODS = (("Coherence", "__init__"), ("Renderer", "__init__"), ("Renderer", "draw"), ("Shot", "__init__"))
-# Attributes and methods that were renamed: class, new name, old name.
+# Attributes and methods that were renamed after version 0.1.0: class, new name, old name.
 ATTRIBUTES = (
     ("Environment", "background", "seen"), ("Image", "illuminated", "lit"), ("Shot", "lights", "light"),
 )  # fmt: skip
-# Fields of a plan and of its coherence that were renamed, old name to new name.
+# Attributes of a plan and of its coherence that were renamed after version 0.1.0, old name to new name.
 PLAN_FIELDS = {
     "nodes": "rings_per_octave", "rays_per_width": "azimuths_per_width", "functions": "w_basis_size",
     "lit_by": "light_sample_count", "unsettled": "unconverged_share", "unsettled_edges": "unconverged_edge_share",
     "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
 }  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
-# Fields of a picture's report that were fields of the plan in version 0.1.0, with the values of these fields for a plan
-# without a picture.
+# Attributes of a picture's report that belonged to the plan in version 0.1.0, with their values for a plan without a
+# picture.
 REPORT_FIELDS = {
     "light_sample_count": 0, "refined_share": 0.0, "unconverged_share": 0.0, "unconverged_edge_share": 0.0,
     "errors": (0.0, 0.0),
@@ -64,7 +64,7 @@ def is_baseline(package: ModuleType) -> bool:
 
 
 def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
-    """Return the fields of a plan, of its coherence and of a picture's report, under the names of version 0.2."""
+    """Return the attributes of a plan, of its coherence and of a picture's report, under the names of version 0.2."""
     fields = dataclasses.asdict(plan)
     if not is_baseline(wd):
         fields |= {name: getattr(report, name, value) for name, value in REPORT_FIELDS.items()}

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 STORED = Path(__file__).with_name("public_api.txt")
 CHANGELOG = ROOT / "CHANGELOG.md"
-# Pattern of the memory address in the text representation of some default values, such as functions.
+# Pattern of the memory address in the text of some default values of arguments, such as functions.
 _ADDRESS = re.compile(r" at 0x[0-9a-f]+")
-# Methods that are part of the interface although their names begin with an underscore.
+# Methods that are part of the public interface although their names begin with an underscore.
 _OPERATORS = ("__call__", "__len__", "__iter__", "__getitem__", "__add__", "__mul__")
 
 
@@ -50,7 +50,7 @@ def signatures() -> list[str]:
 
 
 def _of_commands() -> Iterator[str]:
-    """Yield the line of each command and of each of its flags. The line of a flag also contains its choices."""
+    """Yield a line for each command of the command line and for each of its flags, with the choices of the flag."""
     for name in cli._COMMANDS:
         yield f"warpdiff-{name}: command"
         commands = next(each for each in cli._parser([name])._actions if isinstance(each, argparse._SubParsersAction))
@@ -70,7 +70,7 @@ def _of_module(prefix: str, module: ModuleType) -> Iterator[str]:
 
 
 def _of(name: str, value: object) -> Iterator[str]:
-    """Yield the line of a public object and the lines of its members."""
+    """Yield a line with the signature of a public object, and one for each of its members."""
     if not inspect.isclass(value):
         yield f"{name}{_signature(value)}" if callable(value) else f"{name} = {_plain(repr(value))}"
         return
@@ -105,7 +105,10 @@ def _of_member(name: str, static: object, value: object) -> Iterator[str]:
 
 
 def _signature(value: Callable[..., object]) -> str:
-    """Return names, kinds and defaults of arguments. Annotations are excluded: their texts differ between Pythons."""
+    """Return the names, kinds and defaults of a function's arguments as a text.
+
+    Annotations are excluded, because their texts differ between versions of Python.
+    """
     try:
         signature = inspect.signature(value)
     except (TypeError, ValueError):
@@ -120,12 +123,12 @@ def _plain(text: str) -> str:
 
 
 def changed_names(old: list[str], new: list[str]) -> list[str]:
-    """Return the names whose lines differ between two texts, sorted."""
+    """Return the public names whose signatures differ between two lists of lines, sorted."""
     return sorted({re.split(r"[(: ]", line)[0] for line in set(old) ^ set(new)})
 
 
 def unlisted(names: list[str], changelog: str) -> list[str]:
-    """Return the changed names that the first section of a changelog does not contain.
+    """Return the changed public names that the first section of a changelog does not contain.
 
     A member counts as listed if the section contains its last part, such as ``load`` of ``HeightField.load``, and the
     class. A new class with all of its members is listed by its own name.

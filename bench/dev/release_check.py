@@ -42,11 +42,11 @@ _NOT_SHIPPED = ("bench", "tests", "docs", "examples")
 
 
 class NotTriedError(Exception):
-    """A step, or a part of it, cannot run on this machine. The message is the reason."""
+    """Error if a step of the release check, or a part of it, cannot run on this machine. The message is the reason."""
 
 
 class FailedError(Exception):
-    """A step has failed. The message is the reason."""
+    """Error if a step of the release check has failed. The message is the reason."""
 
 
 def run(*command: str | Path, cwd: Path = ROOT, **variables: str) -> str:
@@ -104,7 +104,7 @@ def built() -> Path:
 
 
 def wheel() -> Path:
-    """Return the path of the wheel."""
+    """Return the path of the wheel that ``built`` has made."""
     return next(built().glob("*.whl"))
 
 
@@ -191,7 +191,7 @@ def check_wheel() -> str:
 
 
 def check_demo() -> str:
-    """Render the demonstration from the wheel."""
+    """Render the demonstration with the package that is installed from the wheel."""
     with tempfile.TemporaryDirectory() as folder:
         own = environment(sys.executable, Path(folder, "env"))
         run(own, "-m", "warpdiff", "demo", "--output", "demo", cwd=Path(folder))
@@ -227,7 +227,7 @@ def check_workflows() -> str:
     if program is None:
         raise NotTriedError("actionlint is not installed")
     files = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-    # The variant of the program for Node.js checks one file per call.
+    # Each file is checked by a separate call, because the variant of actionlint for Node.js checks one file per call.
     for file in files:
         run(program, file)
     return f"{len(files)} files"
@@ -242,7 +242,7 @@ def check_version() -> str:
 
 
 def check_browser() -> str:
-    """Test the pages in Chromium."""
+    """Test the library's web pages in Chromium."""
     if not os.environ.get("CHROMIUM") and not any(map(shutil.which, ("chromium", "google-chrome"))):
         raise NotTriedError("Chromium is not installed")
     make("test-browser")
@@ -265,7 +265,7 @@ STEPS: dict[str, Callable[[], str | None]] = {
     "docs": lambda: make("docs"),
     "browser": check_browser,
 }
-# Checks that no machine of the project can run.
+# Checks that are never run here, because no machine of the project can run them.
 NEVER = (
     "Windows, macOS and ARM processors: only the workflows test them",
     "publishing to the package index: only the workflow of a release does it",

@@ -56,7 +56,7 @@ def rows(cases: Iterable[Xml.Element]) -> dict[str, Row]:
 
 
 def table(results: dict[str, Row]) -> str:
-    """Return the counts as a Markdown table; a failing test counts as one failed case."""
+    """Return the numbers of test cases and failures as a Markdown table; a failing test counts as one failed case."""
     lines = ["| test | cases | passed | failed |", "| --- | --- | --- | --- |"]
     for name, row in results.items():
         skipped = f" ({row.skipped} skipped)" if row.skipped else ""
@@ -97,7 +97,7 @@ def main() -> int:
     begin = time.time()
     end = begin + 60.0 * options.minutes
     results: dict[str, Row] = {}
-    # Each repetition uses different random numbers.
+    # All tests are repeated until the requested time is over. Each repetition has another random seed.
     for number in itertools.count():
         for name, row in run(end, seed=int(end) + number).items():
             results[name] = Row(*np.add(results.get(name, Row(0, 0, 0)), row).tolist())

@@ -54,10 +54,11 @@ class Result(NamedTuple):
 
     Attributes:
         ratio: Time of the automatic plan over the time of the cheapest setting.
-        predicted: Error that the plan predicts over the actual error, on directions for which the plan was made.
+        predicted: Error that the automatic plan predicts, divided by its actual error on directions for which it was
+            made.
         fresh: Like ``predicted``, with the actual error on 128 other directions of the call.
-        samples: Predicted mean number of wavelengths per direction of the plan, over that of the cheapest setting.
-        kernel: Predicted cost per wavelength and direction of the plan, over that of the cheapest setting.
+        samples: Predicted mean number of wavelengths per direction, divided by that of the cheapest setting.
+        kernel: Predicted cost per wavelength and direction, divided by that of the cheapest setting.
     """
 
     ratio: float
@@ -128,13 +129,13 @@ def _numbers(plan: wd.Plan) -> str:
 
 
 def quartiles(values: list[float]) -> str:
-    """Return a text with the median, the quartiles and the range of the values."""
+    """Return a text with the median, the quartiles and the range of ratios that compare plans."""
     low, first, median, third, high = np.percentile(values, [0, 25, 50, 75, 100])
     return f"median {median:.2f}, quartiles {first:.2f} and {third:.2f}, range {low:.2f} to {high:.2f}"
 
 
 def main() -> None:
-    """Print the table of configurations and a summary of the table."""
+    """Compare the automatic plan with the cheapest setting for random configurations; print a table and a summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=40, help="number of configurations (default: 40)")
     parser.add_argument("--only", type=int, help="run only the configuration with this index")

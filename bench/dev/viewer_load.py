@@ -47,7 +47,7 @@ _MALFORMED = (
 
 
 class Report:
-    """Counters of events of all clients, and the first finished picture of each scene."""
+    """Numbers of pictures, lost messages and other events of all clients, and the first picture of each scene."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -168,7 +168,7 @@ async def load(port: int, process: int, minutes: float, report: Report) -> tuple
 
 
 def main() -> int:
-    """Start a viewer, load it, and print the numbers. Return 1 if a message was lost or a picture is wrong."""
+    """Start a viewer and many clients, and print a report. Return 1 if a message was lost or a picture is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="duration (default: 10)")
     options = parser.parse_args()

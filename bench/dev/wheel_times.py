@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Least number of rounds for which order statistics give a confidence interval of 95 %. The number follows from
-# probability: all of 6 values lie on the same side of the true median with the probability 2 · 0.5⁶, which is less than
-# 5 %.
+# Least number of rounds of timing for which order statistics give a confidence interval of 95 %. The number follows
+# from probability: all of 6 values lie on the same side of the true median with the probability 2 · 0.5⁶, which is less
+# than 5 %.
 FEWEST_ROUNDS = 6
 # Time that the calls of one task with one wheel should take together in a round [s], and the smallest and largest
 # number of these calls.
@@ -75,9 +75,9 @@ class Seconds(NamedTuple):
 
 
 def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
-    """Return functions by the names of the timed tasks. Each function prepares the calls of its task.
+    """Return functions that prepare the timed calls of the tasks, by name of the task.
 
-    A prepared call is a function whose argument is the number of the call.
+    A prepared call is a function. Its argument counts the calls of the task.
 
     Frames have 640 × 480 pixels unless the task's name states another size. Light and camera move from frame to frame.
     """
@@ -296,21 +296,22 @@ class Row:
 
     Attributes:
         name: Name of the task.
-        pairs: Per round, pairs of times (before, after), of two successive calls, one of each wheel.
+        pairs: For each round, a list of pairs of times. A pair has the times of two successive calls: one of the wheel
+            ``before``, one of the wheel ``after``.
     """
 
     name: str
     pairs: list[list[tuple[Seconds, Seconds]]] = field(default_factory=list)
 
     def ratios(self, clock: str) -> list[float]:
-        """Return one ratio per round: the time of the wheel ``after`` over the time of the wheel ``before``."""
+        """Return one ratio per round: the task's time with the wheel ``after`` over that with the wheel ``before``."""
         return [
             float(np.median([getattr(after, clock) / getattr(before, clock) for before, after in pairs]))
             for pairs in self.pairs
         ]
 
     def interval(self, clock: str) -> tuple[float, float, float]:
-        """Return the median over the rounds of the ratio of times, and the ends of its 95 % confidence interval."""
+        """Return the ratio of times (after / before), as median over rounds, and its 95 % confidence interval."""
         ratios = sorted(self.ratios(clock))
         count = len(ratios)
         if count < FEWEST_ROUNDS:
@@ -329,14 +330,14 @@ class Row:
         return high - low <= 2.0 * half_width
 
     def milliseconds(self, clock: str) -> tuple[float, float]:
-        """Return the median times of both wheels [ms]."""
+        """Return the median times of the task with both wheels [ms]: before, after."""
         both = [[getattr(which, clock) for which in pair] for pairs in self.pairs for pair in pairs]
         before, after = 1e3 * np.median(np.array(both), axis=0)
         return float(before), float(after)
 
 
 def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[Seconds, Seconds]]:
-    """Return the times of two functions that are called alternately, as pairs.
+    """Call two functions alternately; return pairs of times, one time of each function.
 
     Each function is called ``count`` times, with the number of the call as its argument.
     """

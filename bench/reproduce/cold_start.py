@@ -35,8 +35,8 @@ PROCESSES = {
     "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,
     "first picture, kernels compiled before": PICTURE,
 }  # fmt: skip
-# Program that times the precomputation for a scan (numerical settings, called the plan, and tables), and prints the
-# peak memory. The imported libraries alone require about 240 MiB.
+# Python program that makes the plan (numbers of wavelengths and terms) and the colour table for the scan of a surface,
+# and prints the time and the peak memory. The imported libraries alone require about 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
@@ -49,7 +49,10 @@ PRECOMPUTE = HIDE + (
 
 
 def precompute(scan: Path) -> None:
-    """Print time and peak memory of the plan and tables for a scan, in a process whose kernels are already compiled."""
+    """Print the time and the peak memory to make the plan and the colour table for the scan of a surface.
+
+    The kernels are compiled before the timed process starts.
+    """
     print("\n| scan | s | peak memory [MiB] |\n| --- | --- | --- |", flush=True)
     environment = os.environ | {"WARPDIFF_CACHE_DIR": ""}
     for kind in ("averaged", "centred"):
@@ -59,10 +62,10 @@ def precompute(scan: Path) -> None:
 
 
 def seconds(code: str, cache: Path) -> tuple[float, float]:
-    """Return the times [s] from the start of a process to its first result and to its end.
+    """Run ``code`` in a new Python process; return the times [s] from its start to its first result and to its end.
 
     The process prints the clock time at which the result was complete. If it prints nothing, both numbers are the time
-    to its end.
+    to its end. The folder ``cache`` contains the compiled kernels.
     """
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}

@@ -47,8 +47,8 @@ DEVIATION, CUT = 0.5, 1.5
 # Tolerance of the colours at the points that are averaged for the reference, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
-# Directions to the eye: one from above and one at a grazing angle. `FOV_DEG` is the field of view [degrees], and
-# `RADII` is the distance of the eye [radii of the body].
+# Directions from the body to the camera (eye), at elevations of 27° and 9°. `FOV_DEG` is the vertical field of view
+# [degrees], and `RADII` is the distance of the camera from the centre of the body [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure, and are clipped. Pictures are exposed in
@@ -72,7 +72,7 @@ class Crop(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """Reference of the pixels of a crop, all arrays with the shape (HEIGHT, WIDTH)."""
+    """Reference colours and masks of the pixels of a crop; masks have the shape (HEIGHT, WIDTH)."""
 
     xyz: np.ndarray  # mean colour of the points of each pixel, shape (HEIGHT, WIDTH, 3)
     interior: np.ndarray
@@ -82,7 +82,10 @@ class Truth(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Errors of a small picture (crop): of interior pixels, of pixels at the silhouette, and at edges of shadows."""
+    """Errors of a small picture (crop), for three kinds of pixels: interior, at the silhouette, at edges of shadows.
+
+    Interior pixels are completely covered by the body and completely illuminated.
+    """
 
     interior: np.ndarray
     silhouette: np.ndarray
@@ -92,7 +95,7 @@ class Errors(NamedTuple):
 
 
 def bodies(data: str | None) -> dict[str, Callable[[], Any]]:
-    """Return functions that make the meshes of the bodies, by name."""
+    """Return functions that make the meshes of the rendered bodies, by name of the body."""
     result: dict[str, Callable[[], Any]] = {
         "snake": meshes.snake, "tube": meshes.tube, "disc": meshes.disc, "low-poly": lambda: lumpy(3),
         "327,680 faces": lambda: lumpy(7),
@@ -127,7 +130,7 @@ def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
 
 
 def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
-    """Return functions that make the surfaces' height fields, by name."""
+    """Return functions that make the height fields of the rendered surfaces, by name of the surface."""
     result: dict[str, Callable[[], wd.HeightField]] = {
         f"fingers {size:g} µm": lambda size=size: wd.gratings.fingers(size_um=size, pitch_um=0.09, seed=5)
         for size in (5.0, 12.8, 25.6, 65.0)
@@ -140,7 +143,10 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
 def crop(
     name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
-    """Return the part of a picture around a random illuminated pixel with Y of at least ``least`` times Y*."""
+    """Return the part of a picture around a random illuminated pixel, as a mesh, a height field, a light and a view.
+
+    The luminance of the pixel is at least ``least`` times the reference luminance Y* of the picture.
+    """
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
@@ -171,7 +177,10 @@ def truth(area: Crop, tolerance: float) -> Truth:
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return pixels of a small picture: means over ``points``² points per pixel, weighted by the pixel filter."""
+    """Return the reference colours of a small picture's pixels: means over ``points``² points per pixel.
+
+    The pixel filter determines the weights of the points.
+    """
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
@@ -193,7 +202,10 @@ def filtered(area: Crop, tolerance: float, points: int) -> Truth:
 
 
 def _filter(size: int, points: int) -> np.ndarray:
-    """Return filter weights of points along an axis, shape (size, (size + 2 MARGIN) · points); each row adds to 1."""
+    """Return weights of the pixel filter for points along one axis, shape (size, (size + 2 MARGIN) · points).
+
+    Row i has the weights for pixel i; their sum is 1.
+    """
     places = (np.arange((size + 2 * MARGIN) * points) + 0.5) / points
     away = places - (np.arange(size)[:, None] + MARGIN + 0.5)
     weights = np.where(np.abs(away) <= CUT, np.exp(-0.5 * (away / DEVIATION) ** 2), 0.0)
@@ -205,8 +217,8 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
-    # ``image.error`` is relative to the reference luminance of the crop. It is converted here, so that it is relative
-    # to the reference luminance of the whole picture.
+    # In ``image.error``, errors of dark pixels are relative to a share of the reference luminance of the crop. They
+    # are converted here, so that they are relative to the same share of that of the whole picture.
     own = np.maximum(
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )
@@ -217,7 +229,7 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
 
 
 def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[Crop]:
-    """Yield a crop (part of a picture) of each body with each surface at each distance."""
+    """Yield a crop (part of a picture) of each body with each surface, at each distance of the camera."""
     for body, make in names.items():
         mesh = make()
         for surface, field in fields.items():
@@ -260,7 +272,7 @@ def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, toler
 
 
 def main() -> None:
-    """Print the table of errors."""
+    """Print a table with the errors of crops, which are small parts of pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bodies", nargs="+", help="use only these bodies")
     parser.add_argument("--surfaces", nargs="+", help="use only these surfaces")
@@ -312,7 +324,11 @@ def main() -> None:
 
 
 def _estimates(errors: Errors) -> str:
-    """Return two table entries: share of errors below their estimates, and sum of estimates over sum of errors."""
+    """Return a text about estimated errors of interior pixels, for two columns of the table.
+
+    The columns are the share of pixels whose error is at most its estimate, and the sum of the estimates divided by the
+    sum of the errors.
+    """
     actual, estimated = errors.interior, errors.estimated
     bounded = 100.0 * np.mean(actual <= estimated) if len(actual) else math.nan
     return f"{bounded:.0f} % | {estimated.sum() / max(actual.sum(), 1e-30):.1f}"

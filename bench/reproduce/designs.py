@@ -32,7 +32,7 @@ WAVELENGTH_NM = 632.8
 MIRROR = {"ior": math.inf}
 # Two colours as CIE x, y and luminance Y, each with the view angle at which it is requested [degrees].
 COLOURS = ((0.30, 0.60, 0.55, 20.0), (0.62, 0.335, 0.25, 35.0))
-# Pixel sizes [wavelengths] of the splitters that are compared with rigorous solutions.
+# Sizes of the square height pixels of the beam splitters that are compared with rigorous solutions [wavelengths].
 PIXELS = (0.6, 1.2, 2.5, 5.0)
 
 
@@ -47,19 +47,19 @@ def colour_targets() -> list[wd.Target]:
 
 
 def timed(profile: wd.profiles.Pixels, targets: object, **options: object) -> tuple[wd.Design, str]:
-    """Return a design and a text with its computing times."""
+    """Design a height field that reflects the target colours or orders; return it, and a text with computing times."""
     clock, processor = time.perf_counter(), time.process_time()
     result = wd.design(profile, targets, **options)
     return result, f"{time.process_time() - processor:.1f} s processor, {time.perf_counter() - clock:.1f} s clock"
 
 
 def foil(levels: int, seed: int) -> tuple[wd.Design, str]:
-    """Return a design of the two colours, and a text with its computing times."""
+    """Design a foil that is green at 20° and red at 35°; return it, and a text with the computing times."""
     return timed(wd.profiles.Pixels(0.25, np.zeros((1, 128))), colour_targets(), levels=levels, seed=seed)
 
 
 def colours(seeds: range) -> None:
-    """Print colour differences ΔE2000 between designs and the requested colours, for 8 and for 2 height levels."""
+    """Print colour differences ΔE2000 between designed foils and the requested colours, for 8 and 2 height levels."""
     for levels in (8, 2):
         for seed in seeds:
             result, times = foil(levels, seed)
@@ -69,9 +69,10 @@ def colours(seeds: range) -> None:
 
 
 def upper_bound(shape: tuple[int, ...], starts: int = 20, iterations: int = 400) -> float:
-    """Return the largest efficiency that a phase profile can reach for equal orders.
+    """Return the largest efficiency of a phase profile that diffracts light into orders of equal power.
 
-    The phases of the orders are optimised by iteration from ``starts`` random values.
+    ``shape`` is the number of orders along each axis. The phases of the orders are optimised by iteration, from
+    ``starts`` sets of random values.
     """
     best, rng, size = 0.0, np.random.default_rng(0), 64
     place = np.ix_(*[np.arange(-(n // 2), n - n // 2) % size for n in shape])
@@ -88,7 +89,10 @@ def upper_bound(shape: tuple[int, ...], starts: int = 20, iterations: int = 400)
 
 
 def splitter(seeds: range) -> None:
-    """Print uniformity and efficiency of designs with 7 × 7 equal orders, for 8, unlimited and 2 levels of height."""
+    """Print uniformity errors and efficiencies of beam splitters that are designed for 7 × 7 orders of equal power.
+
+    They have 8, unlimited or 2 levels of height.
+    """
     orders = [(y, x) for y in range(-3, 4) for x in range(-3, 4)]
     target = wd.Target.equal(orders, UP, WAVELENGTH_NM, **MIRROR)
     print(f"upper bound of the share: 7 × 7 orders {upper_bound((7, 7)):.3f}, 1 × 7 orders {upper_bound((7,)):.3f}")
@@ -108,11 +112,14 @@ def splitter(seeds: range) -> None:
 
 
 def rigorous_splitters(seed: int) -> None:
-    """Print uniformity errors of 1 × 7 beam splitters on aluminium, by scalar diffraction and by a rigorous solver."""
+    """Print uniformity errors of 1 × 7 beam splitters that are designed for a perfect mirror.
+
+    The errors are computed by scalar diffraction for the mirror, and by a rigorous solver for aluminium.
+    """
     target = wd.Target.equal([(0, m) for m in range(-3, 4)], UP, WAVELENGTH_NM, **MIRROR)
     for levels in (8, 2):
         for size in PIXELS:
-            # Samples are at most a quarter of a wavelength apart.
+            # Height samples are at most a quarter of a wavelength apart.
             samples = max(4, math.ceil(4.0 * size))
             profile = wd.profiles.Pixels(1e-3 * size * WAVELENGTH_NM, np.zeros((1, 36)), samples=samples)
             result, _ = timed(profile, target, levels=levels, seed=seed)
@@ -126,7 +133,11 @@ def rigorous_splitters(seed: int) -> None:
 
 
 def rigorous_colours(seeds: range, max_harmonics: int) -> None:
-    """Print colour differences of foils on aluminium, by scalar diffraction and by a rigorous solver."""
+    """Print colour differences ΔE2000 between foils and the requested colours.
+
+    The foils are designed for a perfect mirror. Colours are computed by scalar diffraction for the mirror, and by a
+    rigorous solver for aluminium.
+    """
     for levels in (2, 8):
         for seed in seeds:
             result, _ = foil(levels, seed)
@@ -141,7 +152,7 @@ def rigorous_colours(seeds: range, max_harmonics: int) -> None:
 
 
 def main() -> None:
-    """Run the requested parts."""
+    """Design foils and beam splitters as the command line options select, and print their errors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("--colours", "--splitter", "--rigorous-splitters", "--rigorous-colours"):
         parser.add_argument(name, action="store_true")

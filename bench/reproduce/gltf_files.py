@@ -33,13 +33,14 @@ from warpdiff.scene import mesh_files
 if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import ScenePart
 
-# Largest relative differences of positions, of texture coordinates, and of normals and colours between both readings.
-# Positions are rounded to float32, and normals and colours may be quantised.
+# Largest accepted relative differences between the library and another program that reads the same glTF file: of
+# positions, of texture coordinates, and of normals and colours. Positions are rounded to float32, and normals and
+# colours may be quantised.
 POSITION_TOLERANCE, UV_TOLERANCE, VECTOR_TOLERANCE = 1e-3, 2e-3, 4e-3
 
 
 def sums_of(parts: list[ScenePart]) -> dict[str, Any]:
-    """Return sums over the triangles of a scene: the same sums as in the file of the independent reading."""
+    """Return sums over the triangles of a scene that the library reads, as another program computes them for it."""
     result: dict[str, Any] = {"tri": 0, "area": 0.0, "uvtri": 0, "uvrawtri": 0, "coltri": 0, "mats": Counter()}
     for name, width in (("pos", 3), ("uv", 2), ("uvraw", 2), ("col", 3), ("nrm", 3)):
         result[name] = np.zeros(width)
@@ -70,7 +71,10 @@ def sums_of(parts: list[ScenePart]) -> dict[str, Any]:
 
 
 def compared(sums: dict[str, Any], truth: dict[str, Any]) -> dict[str, bool]:
-    """Return for each quantity whether both readings agree; quantities that the file does not have are absent."""
+    """Return, for each sum over a scene's triangles, whether the library and the other program agree.
+
+    Sums of quantities that the glTF file does not have, such as colours, are absent.
+    """
     count = truth["tri"]
 
     def close(name: str, size: float, tolerance: float) -> bool:

@@ -45,7 +45,7 @@ from bench.suite.validity import STORED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Parameters of the synthetic grating: depth [µm], duty cycle, width of a wall [periods], period [µm].
+# True parameters of the fitted trapezoidal grating: depth [µm], duty cycle, width of a wall [periods], period [µm].
 TRUE = np.array([0.14, 0.42, 0.04, 2.0])
 VARIABLES = ("heights_um", "pitch_um", "sigma_um", "to_light", "to_view")
 # Angles of incidence for which rigorous solutions are stored [degrees].
@@ -109,7 +109,10 @@ def cost(path: str) -> None:
 
 
 def errors(count: int) -> None:
-    """Print the largest relative error of derivatives by each variable, of ``count`` random calls of each kind."""
+    """Print the largest relative error of the derivatives of reflectances and order efficiencies, by each variable.
+
+    There are ``count`` random calls for each kind of coherence and for each energy normalisation.
+    """
     folder = Path(__file__).parents[2] / "tests"
     sys.path[:0] = [str(folder), str(folder / "adjoint")]
     tests = importlib.import_module("test_against_complex_steps")
@@ -119,7 +122,8 @@ def errors(count: int) -> None:
     def recorded(kind: str) -> Callable[..., float]:
         def error_of(*arguments: object) -> float:
             error = float(plain(*arguments))
-            # The name of the variable is a local variable of the test function, which calls this function.
+            # The test function, which calls this function, differentiates by one variable after the other. The name of
+            # the present variable is in the local variable ``name`` of the test function.
             name = sys._getframe(1).f_locals["name"]
             largest[f"{kind}: {name}"] = max(largest[f"{kind}: {name}"], error)
             return error
@@ -150,8 +154,8 @@ def measured(values: np.ndarray | None = None) -> wd.Measured:
 def fits(count: int, starts: int) -> None:
     """Print how well fits find the parameters of a grating.
 
-    The printed numbers are the share of parameters within two standard errors, χ² per degree of freedom, and the share
-    of fits that list both possible duty cycles (d and 1 − d).
+    The printed numbers are the share of fitted parameters that deviate from the true values by at most two standard
+    errors, χ² per degree of freedom, and the share of fits that list both possible duty cycles (d and 1 − d).
     """
     grating, guess = wd.profiles.Trapezoid(*TRUE), wd.profiles.Trapezoid(*(TRUE * [1.1, 0.95, 1.2, 1.0]))
     exact, rng = measured().predict(grating.surface(TRUE)).value, np.random.default_rng(0)
@@ -176,7 +180,7 @@ def fits(count: int, starts: int) -> None:
 
 
 def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.ndarray) -> None:
-    """Print how often three methods evaluate the model for the same fit.
+    """Print how often three methods of minimisation evaluate the model of a grating for the same fit.
 
     The methods are the fit of the library, least squares with finite differences, and the method of Nelder and Mead.
     """
@@ -236,7 +240,7 @@ def depths() -> None:
 
 
 def main() -> None:
-    """Run the chosen measurement."""
+    """Run the measurements of gradients and fits that the command line options select."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cost", metavar="SCAN")
     parser.add_argument("--errors", type=int, default=0)

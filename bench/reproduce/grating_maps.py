@@ -47,19 +47,20 @@ from warpdiff.diffraction.direct_sum import window_power
 VIEW = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=48, height=36)
 LIGHT = wd.DirectionalLight((0.0, 0.5, 1.0))
 SINE = wd.gratings.sinusoidal(1.2, 0.15)
-# Wavelengths of the direct sums [µm]; any values of the visible range can be used.
+# Wavelengths at which two direct sums of the diffracted power are compared [µm]; any visible wavelengths can be used.
 WAVELENGTHS_UM = np.array([0.42, 0.5, 0.58, 0.7])
 
 
 def transforms(rng: np.random.Generator) -> None:
-    """Print the largest difference of powers between two direct sums, relative to the largest power.
+    """Print the largest difference between two direct sums of the diffracted power, relative to the largest power.
 
-    One sum is over turned and scaled heights. The other is over the original heights, at transformed vectors.
+    One sum is over turned and scaled heights. The other is over the original heights, at transformed scattering
+    vectors.
     """
     z, azimuth = rng.uniform(0.5, 1.0, (2, 60)), rng.uniform(0.0, 2.0 * np.pi, (2, 60))
     side = np.sqrt(1.0 - z * z)
     lights, views = np.stack([side * np.cos(azimuth), side * np.sin(azimuth), z], axis=-1)
-    # Half of the views are near the specular reflection, where the field diffracts most light.
+    # Half of the views are near the specular reflection, where the height field diffracts most light.
     views[:30] = lights[:30] * [-1.0, -1.0, 1.0] + rng.normal(0.0, 0.2, (30, 3)) * [1.0, 1.0, 0.0]
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -88,9 +89,9 @@ def transforms(rng: np.random.Generator) -> None:
 
 
 def made(cell: wd.HeightField, shape: tuple[int, int], rng: np.random.Generator, *, pitch: bool) -> wd.GratingMap:
-    """Return a grating map: an array of gratings (dots) with random directions and scales.
+    """Return a grating map: an array of small gratings (dots) with random directions, depths and pitches.
 
-    Many dots diffract light into the view.
+    The directions of the grooves are chosen so that many dots diffract light towards the camera.
     """
     turn = rng.uniform(85.0, 95.0, shape)
     scale = rng.uniform(0.7, 1.4, shape) if pitch else 1.0
@@ -98,7 +99,7 @@ def made(cell: wd.HeightField, shape: tuple[int, int], rng: np.random.Generator,
 
 
 def pictures(rng: np.random.Generator) -> None:
-    """Print errors of pictures that are rendered with adaptive refinement of pixels."""
+    """Print errors of pictures of grating maps (arrays of small gratings), rendered with adaptive pixel refinement."""
     fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     for name, cell, coherence in (
         ("sine, source of 1°", SINE, wd.Coherence("source", angular_diameter_deg=1.0)),
@@ -128,7 +129,11 @@ def pictures(rng: np.random.Generator) -> None:
 
 
 def pitches(rng: np.random.Generator) -> None:
-    """Print errors of dots whose colours are interpolated between tables for different pitch scales."""
+    """Print errors of pictures of grating maps whose dots (small gratings) differ in pitch scale.
+
+    A pitch scale is the factor by which the grating periods of a dot are multiplied. The colours of a dot are
+    interpolated between tables for several pitch scales.
+    """
     columns = 24
     card, view = wd.meshes.card(), wd.View((0.1, 0.0, 0.6), (0.0, 0.0, 0.0), fov_y_deg=70.0, width=96, height=72)
     cells = {
@@ -163,13 +168,13 @@ def pitches(rng: np.random.Generator) -> None:
 
 
 def uvs_of(card: Any, light: wd.DirectionalLight, view: wd.View) -> np.ndarray[Any, Any]:
-    """Return the texture coordinates of the pixels, shape (height, width, 2)."""
+    """Return the texture coordinates at the pixels of a picture of the card, shape (height, width, 2)."""
     image = wd.shade(card, SINE, light, view, layers=["uv"], tolerance=0.3, footprint=False)
     return np.asarray(image.layers["uv"])
 
 
 def times(rng: np.random.Generator) -> None:
-    """Print the ratio of frame times with and without a map. The first frame is excluded."""
+    """Print the ratio of the times of frames with a grating map and with a single grating, without the first frame."""
     view = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=320, height=240)
     fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     shape = (24, 32)
@@ -207,7 +212,10 @@ def times(rng: np.random.Generator) -> None:
 
 
 def card() -> None:
-    """Print how well each eye recognises its picture on the card, as correlations of luminances."""
+    """Render a card that shows a different hidden picture to each eye, as two pictures from the places of the eyes.
+
+    Print the correlations of the rendered luminances with both hidden pictures.
+    """
     rows, columns, width = 192, 256, 60.0
     y, x = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns), indexing="ij")
     first = 0.1 + 0.4 * (1.0 + np.sin(7.0 * np.pi * y) * np.sign(x + 1e-9))

@@ -39,14 +39,14 @@ _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 class Reading(NamedTuple):
-    """Heights [µm] with the top row first, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
+    """Heights [µm] that a program reads from a file, top row first, NaN if missing; size (Ly, Lx) of the field [µm]."""
 
     heights_um: np.ndarray
     size_um: tuple[float, float]
 
 
 def gwyddion_readings(path: Path) -> list[Reading]:
-    """Return the channels of heights that Gwyddion reads."""
+    """Return the height fields that Gwyddion reads from a file; each is a channel of the file in metres."""
     try:
         import gwyddionpy
     except ImportError:
@@ -63,9 +63,9 @@ def gwyddion_readings(path: Path) -> list[Reading]:
 
 
 def plain_x3p(path: Path) -> list[Reading]:
-    """Return the heights of the binary member of an .x3p file.
+    """Return the height field of an .x3p file, a zip archive with a binary file of heights.
 
-    Regular expressions find sizes, number format and steps in the XML header of the file.
+    Regular expressions find the sizes, the number format and the sample spacings in the XML header of the archive.
     """
     with zipfile.ZipFile(path) as archive:
         names = [name for name in archive.namelist() if "__MACOSX" not in name]
@@ -90,9 +90,9 @@ def plain_x3p(path: Path) -> list[Reading]:
 
 
 def text_readings(path: Path) -> list[Reading]:
-    """Return the fields of heights that SurfaceTopography reads from a text.
+    """Return the height fields that SurfaceTopography reads from a text file.
 
-    If the text states no unit, the unit is nm; if it states no size, the sample spacing is one unit.
+    If the file states no unit of length, the unit is nm; if it states no size, the sample spacing is one unit.
     """
     from SurfaceTopography.IO import open_topography
 
@@ -116,9 +116,9 @@ def text_readings(path: Path) -> list[Reading]:
 def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
     """Whether a height field equals the reading of the same file by an independent program."""
     heights = field.heights_um
-    # An independent reading has the top row of the picture first. If the attribute `rows` of a file is "up", the
-    # library's field has the opposite order of rows, which is reversed here. A text with x, y and z has no picture, so
-    # that both orders are accepted.
+    # In a reading by another program, the first row is the top row of the picture. If the attribute `rows` of a file is
+    # "up", the library's field has the bottom row first, and is reversed here. A text file with columns x, y and z does
+    # not state which row is at the top. Both orders are therefore accepted for text files.
     pictures = [heights[::-1] if field.source is not None and field.source.rows == "up" else heights]
     if is_text:
         pictures.append(heights)

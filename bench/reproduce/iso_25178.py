@@ -59,7 +59,7 @@ def random_field(
 
 
 def judged_fields(data: str | None) -> dict[str, wd.HeightField]:
-    """Return the fields that are compared with surfalize, by name."""
+    """Return the height fields whose roughness parameters are compared with surfalize, by name of the field."""
     shape = (_SAMPLES, _SAMPLES)
     rng = np.random.default_rng(SEED)
     blazed = wd.gratings.blazed(2.3, 0.2, samples=50)

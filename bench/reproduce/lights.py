@@ -33,7 +33,10 @@ COLUMNS = (
 
 
 def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth_deg: float = 1.0) -> np.ndarray:
-    """Return a clear sky above dark ground, brighter towards the horizon, with a sun of the power ``sun``."""
+    """Return an environment map of a clear sky, brighter towards the horizon, above dark ground.
+
+    The sun is one pixel with the power ``sun``, which is its radiance times its solid angle.
+    """
     polar = (np.arange(height) + 0.5) / height * math.pi
     up = np.maximum(np.cos(polar), 0.0)[:, None, None]
     colour = np.array([0.25, 0.45, 1.0]) + (np.array([0.9, 0.95, 1.0]) - [0.25, 0.45, 1.0]) * (1.0 - up) ** 3
@@ -99,10 +102,10 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours ``xyz`` (n, 3) relative to the size of the exact colours ``exact``.
+    """Return errors ‖ΔXYZ‖ of colours ``xyz`` (n, 3) relative to ‖XYZ‖ of the exact colours ``exact``.
 
-    ``bright`` is the 99th percentile of Y over the whole picture. Errors of colours that are darker than a thousandth
-    of it are relative to this thousandth.
+    ``bright`` is the 99th percentile of Y over the whole picture. If ‖XYZ‖ is less than a thousandth of ``bright``, the
+    error is relative to this thousandth.
     """
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
@@ -146,7 +149,7 @@ def _judge(
     name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
     *, options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Print the errors of pictures with ``options``, relative to sums over directions, and the estimated errors."""
+    """Render a case at several tolerances; print the errors relative to sums over directions, and estimated errors."""
     if not len(chosen):
         print(f"| {name} | 0 | no pixel is completely covered by the mesh |" + " |" * 6)
         return
@@ -208,7 +211,7 @@ def picture(path: str) -> None:
 
 
 def main() -> int:
-    """Print the requested tables, or all tables."""
+    """Print the tables of errors under disc lights and environments that the options select, or both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", action="store_true", help="compare disc lights with sums over points of the disc")
     parser.add_argument("--skies", action="store_true", help="compare random environments with sums over directions")

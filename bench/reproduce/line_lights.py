@@ -76,7 +76,7 @@ def errors(image: wd.Image, reference: wd.Image) -> np.ndarray:
 
 
 def main() -> int:
-    """Print a table with the errors of both approximations: by lobes and by point lights."""
+    """Print a table with the errors of two approximations of a line light: by lobes, and by point lights."""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     light, skins = line_light(), {"sine": wd.gratings.sinusoidal(2.0, 0.1)}
     print("| case | lobes | spacing | P50 / P90 / P99 | above the tolerance | reported |")

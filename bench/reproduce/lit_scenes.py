@@ -130,7 +130,7 @@ def reference(
 
 
 def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
-    """Render one case, compare it with the reference, and print its row of the table."""
+    """Render a case such as "tube_scan_sun", compare the picture with sums over directions, and print a table row."""
     name = case.split("_")[2]
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, window = make(), options["coherence"]
@@ -204,7 +204,7 @@ def flicker(case: str, *, tolerance: float, frames: int) -> None:
 
 
 def main() -> int:
-    """Print the table of all cases."""
+    """Print a table with the errors and times of the pictures of all cases."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--cases", nargs="+", default=CASES, metavar="SCENE_SURFACE_LIGHT", help="cases to render (default: all)"

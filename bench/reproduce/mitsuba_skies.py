@@ -39,12 +39,12 @@ NORMAL_REFLECTANCE = 0.04
 # Number of texels along each axis of the baked spectrum, an array of the surface's colours for Mitsuba. The value is
 # limited by memory; with fewer texels, the colours are more blurred.
 SPECTRUM_SIZE = 1024
-# Largest number of paths per pixel in one call of Mitsuba. The value is limited by memory.
+# Largest number of light paths per pixel in one call of Mitsuba. The value is limited by memory.
 PATHS_OF_LAUNCH = 16
 
 
 def main() -> int:
-    """Print the table of all cases."""
+    """Print a table with the errors and times of the library and of Mitsuba for all cases."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument(
         "--cases", nargs="+", default=CASES, metavar="SCENE_LIGHT", help="cases to render (default: all)"
@@ -78,7 +78,7 @@ def main() -> int:
 
 
 def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: argparse.Namespace) -> None:
-    """Render one case with the library and with Mitsuba, and print its row of the table."""
+    """Render a case such as "tube_scan_sun" with the library and with Mitsuba; print a row with errors and times."""
     scene, name = case.split("_")
     make, view = SCENES[scene]
     body = make()
@@ -140,8 +140,8 @@ def measured(draw: Any) -> float:
 def equal_error_time(rows: list[tuple[int, np.ndarray, float]], k: int, error: float) -> float:
     """Return the time in which Mitsuba reaches an error, by linear interpolation of the logarithms of time and error.
 
-    ``k`` selects the percentile of the errors. The time is infinite if Mitsuba does not reach the error with any number
-    of paths.
+    Each of ``rows`` has a number of light paths per pixel, percentiles of the errors with this number, and the time.
+    ``k`` selects the percentile. The time is infinite if Mitsuba does not reach the error with any number of paths.
     """
     errors, times = (np.log([row[1][k] for row in rows]), np.log([row[2] for row in rows]))
     reached = np.flatnonzero(errors <= np.log(error))

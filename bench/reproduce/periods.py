@@ -63,7 +63,7 @@ def correlated(
 def _phase(
     rng: np.random.Generator, shape: tuple[int, int], unit: tuple[float, float], length: float, *, walks: bool
 ) -> NDArray[np.float64]:
-    """Return a random variation of the phase [rad] with mean 0.
+    """Return random deviations of the phase of a wave over a height field [rad], with mean 0.
 
     The derivative of the phase along ``unit``, a unit vector (y, x), has a standard deviation of 1 rad per sample.
     """
@@ -198,7 +198,7 @@ def quarters(scan: wd.HeightField) -> tuple[list[wd.Period], float]:
 
 
 def main() -> None:
-    """Print the accuracy of periods, the number of false periods in noise, and the periods of the scan."""
+    """Print the accuracy of the periods found in synthetic fields, false periods in noise, and periods of the scan."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fields", type=int, default=200, help="number of synthetic fields (200)")
     parser.add_argument("--noise", type=int, nargs=2, default=(60, 70), help="fields and profiles of noise (60 70)")

@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LIGHT = wd.DirectionalLight((0.35, 0.9, 0.3))
-# Step of the central differences [µm]. Smaller steps have larger errors: for each surface the library fits new basis
-# functions, and the change of the fit is divided by the step. With larger steps, the function is not linear.
+# Change of the heights for the central differences [µm]. Smaller changes have larger errors: the library fits new basis
+# functions for each surface, and the change of the fit is divided by this value. With larger changes, the colours are
+# not linear in the heights.
 STEP_UM = 3e-3
 OPTIONS = {"footprint": False, "refine": False, "ior": np.inf}
 
@@ -62,13 +63,13 @@ def seconds(function: Callable, *arguments: object, **options: object) -> tuple[
 
 
 def by_wavelengths(renderer: wd.Renderer, scan: wd.HeightField) -> object:
-    """Return the picture with derivatives, computed by sums over wavelengths instead of a look-up in a table."""
+    """Return the picture with derivatives. Its colours are sums over wavelengths, not look-ups in a colour table."""
     with mock.patch.object(picture_model, "_SIZES", ()):
         return wd.adjoint.pixels(renderer, scan, LIGHT)
 
 
 def accuracy(scan: wd.HeightField) -> None:
-    """Print the errors of the gradient of a picture of 320 × 240 pixels."""
+    """Print the errors of the gradient of a picture of 320 × 240 pixels with respect to the heights."""
     renderer, tube, view = renderer_of(scan, (320, 240))
     image = renderer.image()
     rng = np.random.default_rng(3)
@@ -115,8 +116,8 @@ def wd_gain(lights: np.ndarray, views: np.ndarray) -> np.ndarray:
 def cost(scan: wd.HeightField, size: tuple[int, int]) -> None:
     """Print the cost of a picture and its gradient, relative to ``wd.shade`` for a surface without cached tables."""
     renderer, tube, view = renderer_of(scan, size)
-    # The noise differs from run to run. For a surface that an earlier run used, the library would read the tables from
-    # its disk cache, and the measured time would be too short.
+    # The noise that is added to the heights differs from run to run. For a surface that an earlier run used, the
+    # library would read the colour tables from its disk cache, and the measured time would be too short.
     rng = np.random.default_rng()
     library, values, gradients = [], [], []
     for _ in range(3):
@@ -133,7 +134,7 @@ def cost(scan: wd.HeightField, size: tuple[int, int]) -> None:
 
 
 def main() -> None:
-    """Print accuracy and cost."""
+    """Print the accuracy and the cost of gradients of pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scan", help="image of heights, 65 µm wide with a range of 0.375 µm")
     arguments = parser.parse_args()

@@ -36,30 +36,30 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LANES = numba_published.LANES
-# Settings of the published algorithm among which the search selects: numbers of wavelengths in steps of a factor
-# 2^(1/4), and numbers of terms of the Taylor series in the height.
+# Numbers of wavelengths and of terms of the Taylor series in the height, from which the settings of the published
+# algorithm are combined. The numbers of wavelengths are in steps of a factor 2^(1/4).
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
-# Largest number of neighbouring coefficients on each side of the central one, by kind of coherence. The published
-# algorithm computes Gaussian weights by recurrence, from the weight of the outermost coefficient inwards. With larger
+# Largest number of Fourier coefficients on each side of the central one that are summed, by kind of coherence. The
+# published algorithm computes their Gaussian weights by recurrence, from the outermost coefficient inwards. With larger
 # numbers, the outermost weight would be below the smallest float32. Coefficients at that distance contribute less than
 # rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
 # Number of settings that are timed; these have the fewest multiply-adds of all settings that reach the target error.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
-# Tolerance of the reference. The tolerance must be small compared with the errors of the compared methods.
+# Tolerance of the reference colours. It must be small compared with the errors of the compared methods.
 TRUTH = 1e-3
 # Width of the picture [pixels], number of pixels per timed call, and number of rounds of timed calls.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
 class Setting(NamedTuple):
-    """Setting of the published algorithm.
+    """Setting of the published algorithm (Single 2014).
 
-    The numbers are those of wavelengths, terms of the Taylor series, and neighbouring coefficients on each side of the
-    central one. With ``centred``, heights are relative to the middle of their range. ``rounded`` selects the central
-    coefficient by rounding instead of floor().
+    It has the numbers of wavelengths, of terms of the Taylor series, and of neighbouring Fourier coefficients on each
+    side of the central one. With ``centred``, heights are relative to the middle of their range. ``rounded`` selects
+    the central coefficient by rounding instead of floor().
     """
 
     wavelengths: int = 81
@@ -70,15 +70,14 @@ class Setting(NamedTuple):
 
     @property
     def as_published(self) -> bool:
-        """Return whether the series, defined by its terms and by centring, is that of the publication."""
+        """Return whether the Taylor series is that of the publication: 37 terms, heights that are not centred."""
         return self.terms == Setting().terms and not self.centred
 
     @property
     def multiply_adds(self) -> float:
-        """Return the cost of a setting: the number of multiply-adds per pixel for the real parts of all amplitudes.
+        """Return the cost of a setting: multiply-adds per pixel for the series of all summed Fourier coefficients.
 
-        The amplitudes are those of all neighbouring coefficients. The imaginary parts require as many multiply-adds.
-        The sum over the coefficients is excluded.
+        Only the real parts are counted; the imaginary parts require as many. The sum over the coefficients is excluded.
         """
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
@@ -89,12 +88,11 @@ class Setting(NamedTuple):
 def refined(error_of: Callable[[Setting], float], most: int, target: float) -> tuple[list[Setting], float]:
     """Return settings that reach a target error with the fewest multiply-adds, and the least error that was measured.
 
-    A setting has three numbers: terms of the series, neighbouring coefficients and wavelengths. The search assumes that
-    the error decreases if one number grows and the others are constant. Each number of terms is first tested with the
-    most coefficients and wavelengths. The two smallest numbers that reach the target are kept. For uncentred heights,
-    the number of terms of the publication is kept, too. For each kept number of terms, all numbers of coefficients that
-    can reach the target are tried, and bisection finds the smallest number of wavelengths. The returned settings
-    include the cheapest setting whose series is that of the publication.
+    A setting has the numbers of Taylor terms, of neighbouring Fourier coefficients, and of wavelengths. More of one of
+    them, with the other two unchanged, are assumed to reduce the error. The function first finds the two smallest
+    numbers of terms that reach the target with the most coefficients and wavelengths. It also tries the 37 terms of
+    the publication. For each number of terms and of coefficients, bisection then finds the smallest sufficient number
+    of wavelengths. If settings with the publication's Taylor series reach the target, the cheapest one is included.
     """
     successes: list[Setting] = []
     found: list[float] = []
@@ -131,9 +129,9 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings of the published algorithm for one limit of interference, and print a table.
+    """Print a table with errors and times of the library and of settings of the published algorithm.
 
-    Also print two comparisons of the library with the published algorithm: errors at equal time, and times at equal
+    ``coherence`` limits the interference in both. Two comparisons follow: errors at equal time, and times at equal
     error.
     """
     heightfield, device, threads = scene.heightfield, resolve_device(None), resolve_threads(None)
@@ -191,7 +189,7 @@ def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
 
 
 def main() -> None:
-    """Run the comparison for all kinds of coherence."""
+    """Compare the published algorithm with the library under an averaged and under a centred coherence window."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pixels", type=int, default=2000, help="number of stratified random pixels (default: 2000)")
     parser.add_argument("--data", type=Path, help=inputs.HELP)

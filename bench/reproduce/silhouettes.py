@@ -30,12 +30,13 @@ LEAST, MOST = 0.02, 0.98
 
 
 def coverage_of(mesh: trimesh.Trimesh, view: wd.View) -> NDArray[np.float64]:
-    """Return, for each pixel, the share of the pixel filter that a mesh covers, shape (height, width)."""
+    """Return the coverage of each pixel: the share of the pixel filter that a mesh covers, shape (height, width)."""
     frame = view.frame()
     away = np.asarray(mesh.vertices) - frame.origin
     depth = -(away @ frame.back)
     x, y = away @ frame.right / depth / frame.half_width, away @ frame.up / depth / frame.half_height
-    # The mask extends one pixel beyond the picture on each side, because the filter of a pixel at the border does, too.
+    # The mask marks the samples that the mesh covers. It extends one pixel beyond the picture on each side, because the
+    # filter of a pixel at the border does, too.
     places = np.column_stack([(x + 1.0) / 2.0 * view.width + 1.0, (1.0 - y) / 2.0 * view.height + 1.0])
     mask = Image.new("1", ((view.width + 2) * SAMPLES, (view.height + 2) * SAMPLES))
     draw = ImageDraw.Draw(mask)
@@ -51,7 +52,7 @@ def coverage_of(mesh: trimesh.Trimesh, view: wd.View) -> NDArray[np.float64]:
 
 
 def bodies() -> dict[str, trimesh.Trimesh]:
-    """Return the bodies by name."""
+    """Return the meshes whose silhouettes are rendered, by name of the body."""
     return {
         "ball": trimesh.creation.icosphere(subdivisions=6), "snake": wd.meshes.snake(), "tube": wd.meshes.tube(),
         "disc": wd.meshes.disc(), "box": trimesh.creation.box((1.0, 0.7, 0.4)),
@@ -61,7 +62,7 @@ def bodies() -> dict[str, trimesh.Trimesh]:
 
 
 def main() -> None:
-    """Print a row for each body."""
+    """Print the errors of the coverage at silhouettes, in rows for each body."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0, help="seed of the camera directions")
     rng = np.random.default_rng(parser.parse_args().seed)

@@ -27,7 +27,10 @@ MOST_FACES = 60_000
 
 
 def angles_deg(surface: Surface) -> NDArray[np.float64]:
-    """Return the angle between the directions at the two ends of each edge [degrees]."""
+    """Return, for each edge of a mesh, the angle between the tangent directions at its two ends [degrees].
+
+    The direction at the start is first rotated by the rotation from the normal there to the normal at the end.
+    """
     faces = surface.faces
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])), axis=0)
     before, after = (surface.normals[edges[:, end]].astype(np.float64) for end in (0, 1))
@@ -41,7 +44,7 @@ def angles_deg(surface: Surface) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Print a row for each file."""
+    """Print, for each glTF file, the mean angle between neighbouring tangent directions and the computing time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     warnings.simplefilter("ignore")

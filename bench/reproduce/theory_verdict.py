@@ -36,10 +36,10 @@ from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
 # Error of an order's efficiency above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
-# Targets for the verdicts, all as shares of gratings. A grating is wrong if its error exceeds ``WRONG``. `MOST_WRONG`
-# is the largest share of wrong gratings among the gratings with the grade reliable. `LEAST_RELIABLE` is the least share
-# of gratings with the grade reliable among the gratings that are not wrong. `MOST_QUALITATIVE` is the largest share of
-# gratings with the grade qualitative.
+# A verdict grades a grating as reliable, qualitative or invalid for scalar diffraction. These are targets for verdicts,
+# as shares of gratings. A grating is wrong if its error exceeds ``WRONG``. `MOST_WRONG` is the largest share of wrong
+# gratings among the reliable ones. `LEAST_RELIABLE` is the least share of reliable gratings among those that are not
+# wrong. `MOST_QUALITATIVE` is the largest share of qualitative gratings among all.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
 # Gratings are held out, so that no fit uses them, if the index of their period or depth, divided by three, leaves this
 # remainder.
@@ -56,7 +56,7 @@ RISES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
 class Grating(NamedTuple):
-    """Errors and verdicts of one grating.
+    """Error of scalar diffraction for one grating, and the errors that the verdicts predict for it.
 
     Attributes:
         is_held_out: Whether the period or the depth of the grating was never used for fitting.
@@ -73,9 +73,9 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of gratings by grade: reliable, qualitative or invalid by a predicted error (verdict).
+    """Counts and shares of gratings by the grade of their verdict: reliable, qualitative or invalid.
 
-    Three of the shares have targets, see ``meets_targets``.
+    The grade follows from the predicted error of scalar diffraction. Three shares have targets, see ``meets_targets``.
     """
 
     gratings: int
@@ -110,7 +110,7 @@ def _share(values: np.ndarray) -> float:
 
 
 def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
-    """Return every ``step``-th grating of each profile.
+    """Return errors and verdicts of every ``step``-th grating of each profile, such as sine or sawtooth.
 
     ``energy`` is passed to `order_efficiencies` as the argument of this name. If it is None, the default applies.
     """
@@ -142,9 +142,10 @@ def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
 
 
 def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
-    """Return counts and shares of gratings by grade, for verdicts on calls and on the heights alone.
+    """Return counts and shares of gratings by the grade of their verdict, for three sets of gratings.
 
-    There are shares of all gratings, of those used for fitting, and of held-out gratings.
+    The sets are all gratings, those to which the verdicts were fitted, and held-out gratings. The verdicts are those of
+    calls of ``order_efficiencies``, and those on the heights alone.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -162,10 +163,10 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 
 
 def mean_error_by_rise(cosine: float) -> float:
-    """Return the mean error of the perfect mirrors that were used for fitting, with normalised energy.
+    """Return the mean error of the efficiencies of perfect-mirror gratings, with the energy normalisation.
 
     The normalisation gives full weight to orders if the cosine of their angle from the normal exceeds a limit.
-    ``cosine`` replaces this limit.
+    ``cosine`` replaces this limit. Held-out gratings are excluded.
     """
     before = energy_normalisation.RISEN
     energy_normalisation.RISEN = cosine

@@ -67,10 +67,10 @@ FLOOR = "3 × 3 by floor, on the seam"
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
-    """Inputs of the figures.
+    """Options and the scan from which the figures of the report are drawn.
 
     Attributes:
-        folder: Folder of the figures.
+        folder: Folder to which the figures are written.
         quick: Whether figures are smaller, with fewer samples, for a test of the script.
         raw: Scan of a snake's skin as measured, or None if its file is absent.
     """
@@ -93,14 +93,14 @@ class Setup:
 
     @functools.cached_property
     def natural(self) -> wd.HeightField:
-        """The scan, or its middle part if ``quick`` is True, or synthetic nano-fingers if the scan is absent."""
+        """The scan of a snake's skin, its middle part if ``quick`` is True, or a synthetic skin if ``scan`` is None."""
         if self.scan is None:
             return wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
         return self.scan.cropped(32.0) if self.quick else self.scan
 
     @property
     def natural_name(self) -> str:
-        """Name of the natural surface in figures: the snake of the scan, or the name of its replacement."""
+        """Name of the natural surface in figures: genus of the scanned snake, or "fingers" for the synthetic skin."""
         return "fingers" if self.scan is None else "Elaphe"
 
 
@@ -111,7 +111,7 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of the first order at one wavelength, for ``count`` periods in a range."""
+    """Return view angles [degrees] of the first order at one wavelength, for ``count`` grating periods in a range."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 
@@ -150,7 +150,7 @@ def first_order(
 def library(
     heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
-    """Return a function that computes the reflectance by the library, as :func:`first_order` expects it.
+    """Return a function that computes the reflectance of a height field by the library, for :func:`first_order`.
 
     With ``opposite``, light and views are rotated by 180° about the normal.
     """
@@ -181,7 +181,10 @@ def written(periods: Floats) -> str:
 def methods_of(
     heightfield: wd.HeightField, raw: wd.HeightField | None, *, periods: tuple[int, int]
 ) -> dict[str, tuple[str, Any, float]]:
-    """Return the compared methods by name: key in ``PUBLISHED``, reflectance function, step of angles [degrees]."""
+    """Return the compared methods that compute the reflectance of a height field, by name of the method.
+
+    Each has its key in ``PUBLISHED``, its function for the reflectance, and the step of the view angles [degrees].
+    """
     repeated = wd.Coherence("replicas", periods=periods)
     many = f"{periods[0]} × {periods[1]} periods"
     other = library(heightfield, opposite=True, strict=False)
@@ -210,7 +213,10 @@ def period_figure(
     setup: Setup, name: str, heightfield: wd.HeightField, expected_um: float, shown: list[str], *,
     counts: tuple[int, int], raw: wd.HeightField | None = None,
 ) -> Table:  # fmt: skip
-    """Draw reflectance over wavelength and view angle for the methods ``shown``; return a table of all periods."""
+    """Draw the reflectance over wavelength and view angle by the methods ``shown``.
+
+    Return a table of the grating periods that are measured by all methods.
+    """
     from matplotlib import pyplot as plt
 
     wavelengths = WAVELENGTHS[::20] if setup.quick else WAVELENGTHS
@@ -316,14 +322,17 @@ LINE, AREA = 0.04, 3.0
 
 
 def mean_map(setup: Setup, heightfield: wd.HeightField) -> Floats:
-    """Return XYZ of a map, NaN outside of the unit disc. A pixel is a mean of 9 directions, or 1 direction if quick."""
+    """Return XYZ of a reflectance map, NaN outside of the unit disc of view directions.
+
+    A pixel is the mean over 9 directions, or has 1 direction if ``quick`` is True.
+    """
     samples = 1 if setup.quick else 9
     image = wd.reflectance_map(heightfield, (0.0, 0.0, 1.0), size=setup.pixels(300), samples_per_pixel=samples)
     return np.where(image.coverage[..., None] == 1.0, image.xyz.astype(np.float64), np.nan)
 
 
 def exposure(xyz: Floats) -> float:
-    """Return the inverse of the 99th percentile of luminance, or of the largest luminance if that percentile is 0."""
+    """Return a factor for XYZ: the inverse 99th percentile of the luminance, or of its maximum if the former is 0."""
     return 1.0 / float(np.nanpercentile(xyz[..., 1], 99.0) or np.nanmax(xyz[..., 1]))
 
 
@@ -388,7 +397,7 @@ def render_zoom(setup: Setup) -> Table:
 
 
 def save(setup: Setup, figure: Any, name: str) -> None:
-    """Write a figure and close it."""
+    """Write a figure to a file of the folder of figures, and close it."""
     from matplotlib import pyplot as plt
 
     figure.tight_layout()

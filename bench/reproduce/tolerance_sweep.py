@@ -28,17 +28,17 @@ import warpdiff as wd
 from bench import inputs
 from bench.truth import configurations, judge
 
-# Targets of the sweep. `SHARE` is the least share of all calls that must meet their tolerance, and `STRATUM_SHARE` the
-# least share in each stratum (kind of call or coherence). `BEYOND` is the largest accepted ratio of error to tolerance,
-# and `WARNED` the largest share of calls that warn. In at least `PREDICTED_SHARE` of the calls, the ratio of predicted
-# to measured error must be between the two values of `PREDICTED`. Calls with an error below `COUNTS_FROM` times the
-# tolerance are excluded from this share.
+# Targets for random calls of the library. `SHARE` is the least share of all calls that must meet their tolerance, and
+# `STRATUM_SHARE` the least share in each stratum (kind of call or coherence). `BEYOND` is the largest accepted ratio of
+# error to tolerance, and `WARNED` the largest share of calls that warn. In at least `PREDICTED_SHARE` of the calls, the
+# ratio of predicted to measured error must be between the two values of `PREDICTED`. Calls with an error below
+# `COUNTS_FROM` times the tolerance are excluded from this share.
 SHARE, STRATUM_SHARE, BEYOND, WARNED = 0.99, 0.95, 3.0, 0.02
 PREDICTED, PREDICTED_SHARE, COUNTS_FROM = (0.5, 10.0), 0.95, 0.01
 
 
 class Outcome(NamedTuple):
-    """Outcome of a call: its parameters, its errors relative to the tolerance, and its messages."""
+    """Outcome of a random call of the library: its parameters, its errors relative to the tolerance, its messages."""
 
     index: int
     stratum: tuple[str, float]
@@ -68,7 +68,7 @@ class Outcome(NamedTuple):
 
 
 def run(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> Outcome:
-    """Make one random call and evaluate its errors."""
+    """Make one random call of the library, and return its errors relative to the float64 reference."""
     case = configurations.configuration(index, seed, scan, layouts)
     try:
         result = judge.evaluate(case, threads=1)
@@ -97,12 +97,15 @@ def start_worker(seed: int, data: str | None, layouts: tuple[str, ...]) -> None:
 
 
 def work(index: int) -> Outcome:
-    """Make one random call in a worker process."""
+    """Make one random call of the library in a worker process, and return its errors."""
     return run(index, **_worker)  # type: ignore[arg-type]
 
 
 def strata(outcomes: list[Outcome]) -> list[tuple[str, list[Outcome]]]:
-    """Return groups of outcomes by name: a kind of coherence at a tolerance, a kind of call, and all calls."""
+    """Return groups of random calls with the name of each group.
+
+    There is a group for each kind of coherence at each tolerance, one for each kind of call, and one of all calls.
+    """
     by_form = [
         (f"{k} at {t:g}", [outcome for outcome in outcomes if outcome.stratum == (k, t)])
         for k, t in configurations.STRATA
@@ -113,7 +116,7 @@ def strata(outcomes: list[Outcome]) -> list[tuple[str, list[Outcome]]]:
 
 
 def within(outcomes: list[Outcome]) -> float:
-    """Return the share of calls that meet the tolerance."""
+    """Return the share of the random calls whose error is at most their tolerance."""
     return float(np.mean([outcome.ratio <= 1.0 for outcome in outcomes]))
 
 
@@ -224,7 +227,7 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
 
 
 def main() -> int:
-    """Run the sweep, print its table, and write it to a file."""
+    """Make all random calls, print a table of their errors, and write it to a file. Return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--count", type=int, default=420, help="number of calls (default: 420, 30 per coherence and tolerance)"

@@ -39,8 +39,8 @@ SERIES = EXPANSIONS["jacobi-anger"]
 # Largest error of a Fourier coefficient that truncation of its series may cause. The error must be small compared with
 # the differences between the methods.
 ACCURACY = 1e-6
-# Number of coefficients on either side of the nearest one over which the sinc interpolation extends. The value is that
-# of the publication (Single 2014).
+# Number of Fourier coefficients on either side of the nearest one over which the sinc interpolation extends. The value
+# is that of the publication (Single 2014).
 SINC_REACH = 3
 # Standard deviation of the coherence window [µm]. The value is that of the publication (Single 2014).
 SIGMA_UM = 16.25
@@ -73,9 +73,10 @@ def periods(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats, *,
     count: tuple[int, int], interpolation: str,
 ) -> Floats:  # fmt: skip
-    """Return the reflectance ρ of ``count`` periods (y, x), with "linear" or "sinc" interpolation of coefficients.
+    """Return the reflectance ρ of a height field that is repeated ``count`` times along y and x.
 
-    The other arguments are those of :func:`neighbours`.
+    ``interpolation`` of its Fourier coefficients is "linear" or "sinc". The other arguments are those of
+    :func:`neighbours`.
     """
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
@@ -91,7 +92,7 @@ def periods(
             order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
         # The amplitude of N repeated patches has the factor sin(πNt) / (N sin(πt)). Here, t is the distance of a
-        # frequency from the nearest coefficient, in units of the spacing of coefficients.
+        # frequency from that of the nearest Fourier coefficient, in units of the spacing of these coefficients.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
@@ -99,10 +100,10 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Return indices of the orders around each order in ``order``, shape (orders, neighbours).
+    """Return the numbers of diffraction orders near each order in ``order``, shape (orders, neighbours).
 
-    The neighbours have the numbers from ``first`` to ``last``, relative to the order. An axis with one sample has only
-    the order 0.
+    They are the number of the order plus ``first`` to plus ``last``. An axis with one height sample has only the order
+    0.
     """
     return order[:, None] + np.arange(first, last + 1) if samples > 1 else np.zeros((len(order), 1))
 
@@ -135,7 +136,7 @@ def _reflectance(
         amplitude = np.zeros(len(basis), dtype=np.complex64)
         for j in range(places[0].shape[1]):
             # If light and views are in the xz plane, v is 0. The interpolation along y then gives the weight 0 to all
-            # rows of coefficients except the middle row. Rows of weight 0 are skipped.
+            # rows of Fourier coefficients except the middle row. Rows of weight 0 are skipped.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
                 coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * coefficients
@@ -147,9 +148,9 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Return series of Fourier coefficients up to a frequency [1/µm], a `Block` with their indices, a scale [µm].
+    """Return the series of all Fourier coefficients up to a frequency [1/µm], with their indices and a scale [µm].
 
-    The variable x of the series is the scale times |κ|, where κ = w/λ.
+    A Fourier coefficient is a series in x = scale · |κ|, where κ = w/λ. The `Block` contains the indices.
     """
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def pixel_rays(eye, target, up, *, width, height, fov_y_deg=None, extent_y=None, offsets=(0.0, 0.0)):
-    """Return origins and unit directions (height * width, 3) of camera rays, from a camera-to-world matrix.
+    """Return origins and unit directions of the camera rays of a picture, both of shape (height * width, 3).
 
     The camera looks along its negative z-axis.
     """
@@ -67,7 +67,7 @@ def intersect(origins, directions, vertices, faces, chunk=256):
 
 
 def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents, handedness, smooth=True):
-    """Return the shading frames of hits: tangent t, bitangent b and normal n, each of shape (k, 3)."""
+    """Return the shading frames where rays hit triangles: tangent t, bitangent b, normal n, each of shape (k, 3)."""
     corners = faces[face]
     p0, p1, p2 = (vertices[corners[:, k]] for k in range(3))
     geometric = np.cross(p1 - p0, p2 - p0)

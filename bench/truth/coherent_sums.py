@@ -32,17 +32,17 @@ REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
 # `PERIODS_PER_CELL` periods of exp(2πiτwh).
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
-# Number of wavenumbers τ = 1/λ that are evaluated together. Fourier coefficients near the frequency τ·(u, v) at any of
-# these wavenumbers are evaluated at all of them. With more wavenumbers, most of these coefficients would contribute at
-# only a few of them, which wastes time.
+# Number of wavenumbers τ = 1/λ at which powers are computed together. Fourier coefficients near the frequency τ·(u, v)
+# at any of these wavenumbers are evaluated at all of them. With more wavenumbers, most of these coefficients would
+# contribute at only a few of them, which wastes time.
 BLOCK = 128
 # For a replicated patch: largest number of wavenumbers that are evaluated at once, and largest number of height samples
 # per partial sum. Both values are limited by memory.
 MOST_NODES = 1 << 16
 MOST_SAMPLES = 1 << 14
 # Least luminance Y, relative to a mirror, for which the integral over λ must converge. The value is limited by the
-# truncation at nine standard deviations. The truncation causes steps of about this size, at which no quadrature
-# converges.
+# truncation of the Gaussian weights at nine standard deviations. The truncation causes steps of the integrand of about
+# this size, at which no quadrature converges.
 LEAST = 1e-10
 
 
@@ -60,12 +60,19 @@ class Step(NamedTuple):
 
 
 def step_of(coherence, sigma, centre):
-    """Return a coherence from its kind and its window's σ [µm] and centre (y, x) [µm]; return an object unchanged."""
+    """Return a coherence object from the name of its kind, and from σ and centre (y, x) of its window [µm].
+
+    If ``coherence`` is a coherence object already, it is returned unchanged.
+    """
     return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
 
 
 def sum_for(heightfield, step, scattering_vectors, shortest, longest):
-    """Return an object that computes powers ⟨|P|²⟩ of scattering vectors (n, 3) at wavelengths in a range [µm]."""
+    """Return an object that computes the diffracted power ⟨|P|²⟩ for a scattering vector and for wavelengths.
+
+    The scattering vector must be one of ``scattering_vectors``, shape (n, 3), and the wavelengths must be between
+    ``shortest`` and ``longest`` [µm].
+    """
     return (
         Replicas(heightfield, step)
         if step.kind == "replicas"
@@ -95,7 +102,10 @@ def chebyshev_terms(argument):
 
 
 class Coefficients:
-    """Fourier coefficients H_rs(κ) of a height field, and powers ⟨|P|²⟩ for a coherence window or a light source."""
+    """Diffracted power ⟨|P|²⟩ for a coherence window or a light source, by Fourier coefficients of a height field.
+
+    H_rs(κ) is the Fourier coefficient of exp(2πiκh), with heights h and κ = w/λ, at the order (r, s).
+    """
 
     def __init__(self, heightfield, step, scattering_vectors, shortest, longest):
         self.step = step
@@ -123,8 +133,8 @@ class Coefficients:
             indices.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
             self.places.append(np.zeros(n, dtype=np.int64))
             self.places[-1][indices[-1]] = np.arange(len(indices[-1]))
-        # `rows` has the real and imaginary parts of each coefficient at all Chebyshev nodes in κ, shape (my, mx, 2,
-        # nodes).
+        # `rows` has the real and imaginary parts of each Fourier coefficient at all Chebyshev nodes in κ. Its shape is
+        # (my, mx, 2, nodes).
         self.rows = np.empty((len(indices[0]), len(indices[1]), 2, self.terms))
         for node, at in enumerate(chebyshev_nodes(self.terms)):
             sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[
@@ -159,10 +169,10 @@ class Coefficients:
         return np.full(np.shape(tau), falloff)
 
     def resolution(self, scattering_vector, to_light):
-        """Return the largest quadrature cell in τ = 1/λ, and the least luminance for which the integral must converge.
+        """Return the largest length of a quadrature cell in τ = 1/λ, and the least luminance of a converged integral.
 
-        The cell is small enough to resolve the Gaussian of each Fourier coefficient that the frequency τ·(u, v) passes
-        as τ changes.
+        With this length, cells resolve the Gaussian of each Fourier coefficient that the frequency τ·(u, v) passes as τ
+        changes.
         """
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
@@ -181,7 +191,7 @@ class Coefficients:
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
 
     def power(self, scattering_vector, to_light, tau):
-        """Return powers ⟨|P|²⟩ of a scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        """Return diffracted powers ⟨|P|²⟩ for a scattering vector (u, v, w) at wavenumbers τ [1/µm], shape (m,)."""
         order = np.argsort(tau)
         result = np.empty(len(tau))
         for start in range(0, len(tau), BLOCK):
@@ -190,7 +200,7 @@ class Coefficients:
         return result
 
     def _power(self, scattering_vector, metric, tau):
-        """Return powers ⟨|P|²⟩ of a scattering vector at a few ascending wavenumbers τ = 1/λ, shape (m,).
+        """Return diffracted powers ⟨|P|²⟩ for a scattering vector at a few ascending wavenumbers τ = 1/λ, shape (m,).
 
         Fourier coefficients near the frequency τ·(u, v) at any of the wavenumbers are evaluated at all of them.
         """
@@ -203,7 +213,7 @@ class Coefficients:
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
             first = math.ceil((low - radius * along_axis[axis]) * length)
             last = math.floor((high + radius * along_axis[axis]) * length)
-            # Along an axis with one sample, the heights are constant, and only the diffraction order 0 exists.
+            # Along an axis with one height sample, the surface is constant, and only the diffraction order 0 exists.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
@@ -236,7 +246,7 @@ class Coefficients:
 
 
 class Replicas:
-    """Replicated height field with coherent periods, and the powers |P|² of scattering vectors."""
+    """Diffracted power |P|² of a height field that is repeated a given number of times, with coherent repetitions."""
 
     def __init__(self, heightfield, step):
         (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
@@ -252,9 +262,9 @@ class Replicas:
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """Return the largest quadrature cell in τ = 1/λ, and the least luminance for which the integral must converge.
+        """Return the largest length of a quadrature cell in τ = 1/λ, and the least luminance of a converged integral.
 
-        The cell is small enough to resolve the maxima of the interference between the replicated periods.
+        With this length, cells resolve the maxima of the interference between the repeated patches.
         """
         turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
@@ -263,7 +273,7 @@ class Replicas:
         return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.periods) ** 2
 
     def power(self, scattering_vector, to_light, tau):  # noqa: ARG002
-        """Return powers |P|² of a scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        """Return diffracted powers |P|² for a scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         low, high = tau.min(), tau.max()
         span = max(high - low, 1e-9)
         key = (*scattering_vector, low, high)
@@ -280,10 +290,10 @@ class Replicas:
         return result
 
     def _patch(self, position):
-        """Return the mean of exp(2πiτ(ux + vy + wh)) over samples (x, y, h) of the patch, except for a common phase.
+        """Return the mean of exp(2πiτ(ux + vy + wh)) over the samples (x, y, h) of one patch, without a common phase.
 
-        ``position`` is the position in the range of wavenumbers τ = 1/λ: 0 at the lower end of the range, 1 at the
-        upper end.
+        The mean is interpolated between Chebyshev nodes in τ = 1/λ. ``position`` is 0 at the lower and 1 at the upper
+        end of the range of τ.
         """
         at_nodes = self.latest[1]
         panels, terms = at_nodes.shape
@@ -305,10 +315,10 @@ class Replicas:
         at_nodes = np.zeros((panels, terms), dtype=complex)
         turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
-            # The position of a Chebyshev node is the middle of its panel plus an offset, so that the exponential at the
-            # node is a product of two factors. The middles are equally spaced, so that the factors for the middles are
-            # computed by recurrence. The offsets are symmetric, so that the factors for the second half of the offsets
-            # are complex conjugates of those for the first half.
+            # A Chebyshev node in τ is the middle of its panel plus an offset, so that the exponential at the node is a
+            # product of two factors. The middles are equally spaced, so that the factors for the middles are computed
+            # by recurrence. The offsets are symmetric, so that the factors for the second half of the offsets are
+            # complex conjugates of those for the first half.
             to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
             middles = np.empty((panels, len(part)), dtype=complex)
             for panel in range(panels):

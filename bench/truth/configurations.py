@@ -21,26 +21,26 @@ import numpy as np
 import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
-# Combinations of coherence and tolerance. Replicated patches have only two tolerances: their periods interfere with
-# narrow maxima, and tight tolerances would require too many wavelengths.
+# Combinations of coherence and tolerance of the random calls. Replicated patches have only two tolerances: their
+# periods interfere with narrow maxima, and tight tolerances would require too many wavelengths.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Materials from which one is drawn at random for each of one half of the calls. The other calls use the default
-# material.
+# Materials from which one is drawn for half of the random calls. None is the default material, as in the other half.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
     wd.Material.dielectric(1.5).coated(wd.Material.dielectric(2.3), 90.0),
 )  # fmt: skip
-# Sizes of grids of directions, of reflectance maps and of frames.
+# Sizes of the random calls: number of directions along each side of a grid, width of a reflectance map [pixels], and
+# width and height of a frame [pixels].
 SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
 MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
-# Number of directions below which all directions of a call are evaluated.
+# Number of directions of a call below which the errors of all its directions are evaluated.
 FEW = 4096
 # Largest number of directions of a call. The value is limited by computing time.
 MOST = 262_144
@@ -49,7 +49,7 @@ MOST = 262_144
 # least 0.1 ms.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
-# Largest angle of directions from the normal [degrees], and the cosine of this angle.
+# Largest angle of random light and view directions from the normal [degrees], and the cosine of this angle.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
 # Largest sample spacing [µm] of resampled surfaces. The value is slightly below 95 nm. It was derived: the largest
@@ -64,7 +64,7 @@ MAP_LIGHT_DEG = 75.0
 
 
 class Picture(NamedTuple):
-    """A picture of a body: name of the body, light and view."""
+    """Inputs of a random call that renders a picture: name of the body, light and view."""
 
     body: str
     light: wd.DirectionalLight
@@ -108,7 +108,10 @@ class Configuration(NamedTuple):
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """Return the random call of an index. Its surface may be a part of ``scan``, or nano-fingers if that is None."""
+    """Return the random call that ``index`` and ``seed`` determine.
+
+    Its surface may be a part of ``scan``, or a synthetic snake skin with finger-like bumps if ``scan`` is None.
+    """
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -140,8 +143,8 @@ def log_uniform(rng, low, high):
 def surface(rng, name, scan, *, small=False):
     """Return a random height field of the named kind, and a name that describes it in more detail.
 
-    If ``scan`` is None, synthetic gratings with nano-fingers are used instead of crops of the scan. Height ranges are
-    0.001 to 3 µm. With ``small``, the height field has at most ``MOST_PATCH_SAMPLES`` samples.
+    If ``scan`` is None, synthetic snake skins with finger-like bumps replace crops of the scan. Height ranges are 0.001
+    to 3 µm. With ``small``, the height field has at most ``MOST_PATCH_SAMPLES`` samples.
     """
     seed = int(rng.integers(1 << 30))
     if name == "scan" and scan is not None:
@@ -238,7 +241,7 @@ def a_light(rng, count=1, steepest_deg=STEEPEST_DEG):
 
 
 def a_list(rng, case, most):
-    """Return a random call with a list of pairs of directions, in random or sorted order."""
+    """Return ``case`` with a random list of directions to the light and to the viewer, in random or sorted order."""
     low, high = {"few": (16, 128), "some": (129, FEW - 1), "many": (FEW, most)}[case.layout]
     count = round(log_uniform(rng, low, high))
     way = WAYS[rng.integers(len(WAYS))]
@@ -263,9 +266,9 @@ def a_list(rng, case, most):
 
 
 def some_views(rng, way, lights, spread, heightfield, coherence):
-    """Return one random view per light, at most ``STEEPEST_DEG`` from the normal.
+    """Return one random view direction per light direction, at most ``STEEPEST_DEG`` from the normal.
 
-    ``way`` names the distribution of the views.
+    ``way`` is the name of the distribution of the views.
     """
     views = np.zeros_like(lights)
     pending = np.arange(len(lights))
@@ -276,9 +279,9 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
         s = np.sqrt(1.0 - z * z)
         candidates = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
         if way == "mirror":
-            # Views are normally distributed around the mirror direction. Views beyond the largest angle from the normal
-            # are drawn again. If the mirror direction is at the largest angle, about half of all views are drawn again,
-            # otherwise fewer, so that the loop ends soon.
+            # View directions are normally distributed around the mirror direction. Views beyond the largest angle from
+            # the normal are drawn again. If the mirror direction is at the largest angle, about half of all views are
+            # drawn again, otherwise fewer, so that the loop ends soon.
             candidates = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(pending), 3))
             candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
         elif way == "orders":
@@ -298,7 +301,7 @@ def by_an_order(rng, lights, views, heightfield, coherence):
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
     lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])
     orders = np.rint(-(lights + views)[:, :2] / wavelength * lengths)
-    # Along an axis with one sample, the heights are constant, so that only the diffraction order 0 exists.
+    # Along an axis with one height sample, the surface is constant, and only the diffraction order 0 exists.
     orders[:, [heightfield.shape[1] == 1, heightfield.shape[0] == 1]] = 0.0
     if coherence.kind == "replicas":
         width = wavelength / (lengths * np.array(coherence.periods[::-1]))
@@ -312,9 +315,9 @@ def by_an_order(rng, lights, views, heightfield, coherence):
 
 
 def a_grid(rng, case, most):
-    """Return a random call with a grid of views in row order under one light.
+    """Return ``case`` with a random grid of view directions, in row order, and one light direction.
 
-    Grid points are the x and y of the views. Points outside the unit disc become directions below the horizon.
+    The grid is over x and y of the view directions. Points outside the unit disc become directions below the horizon.
     """
     sides = [side for side in SIDES if side * side <= max(most, 64 * 64) * (4 if most == MOST else 1)]
     side = sides[rng.integers(len(sides))]

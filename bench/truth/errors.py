@@ -19,7 +19,7 @@ def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the weighted percentile: the value below which ``share`` of the total weight lies; 0 without values."""
+    """Return a weighted percentile: the value below which the share ``share`` of the weights lies; 0 without values."""
     if not len(values) or not weights.sum() > 0.0:
         return 0.0
     order = np.argsort(values)
@@ -34,7 +34,10 @@ def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """Return the 99th percentile of ΔE2000 under D65, over colours with Y <= ``brightest``, which becomes Y = 1."""
+    """Return the 99th percentile of the colour differences ΔE2000 from exact colours, under D65.
+
+    Colours with Y > ``brightest`` are excluded. Colours are divided by ``brightest``, so that this luminance is white.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

@@ -30,8 +30,8 @@ from warpdiff.planner import trial
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Number of illuminated directions that are sampled from a larger call. The value is limited by the computing time of
-# the reference.
+# Number of illuminated directions on which the errors of a call with many directions are evaluated. The value is
+# limited by the computing time of the reference.
 COUNT = 2000
 # Least number of bright directions in the sample, if the call has that many; a direction is bright if its luminance Y
 # is at least the floor f of relative errors. With fewer directions, the 99th percentile of their errors is noisy.
@@ -48,7 +48,7 @@ LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions.
+    """Results of a random call of the library for its illuminated directions.
 
     ``read`` marks directions on which the planner has tried numbers of wavelengths and terms.
     """
@@ -62,7 +62,7 @@ class Result(NamedTuple):
 
     @property
     def white(self) -> float:
-        """Reference luminance Y* of all directions, computed from the colours that the call returned."""
+        """Reference luminance Y* of the call, about that of its brightest directions, from the returned colours."""
         return reference_luminance(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
 
 
@@ -78,13 +78,16 @@ class Figure(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Error that must not exceed the tolerance: the larger 99th percentile, over all or over bright directions."""
+        """Error that must not exceed the tolerance: the larger percentile, over all or over bright directions."""
         return max(self.overall, self.bright)
 
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record, in the ``with`` block, the scattering vectors for which the planner computes colours to compare plans."""
+    """Record, in the ``with`` block, the scattering vectors for which the planner computes colours to compare plans.
+
+    A plan has the numbers of a computation, such as wavelengths and terms of a series.
+    """
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):
@@ -148,7 +151,7 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
 
 
 def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return a sample of a call's directions: indices, and for each the number of directions that it represents."""
+    """Return the indices of a random sample of a call's directions, and how many directions each represents."""
     count = len(result.xyz)
     if count < FEW:
         return np.arange(count), np.ones(count)
@@ -170,7 +173,7 @@ def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
 
 
 def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: float = 1.0) -> np.ndarray:
-    """Return XYZ of the chosen directions, computed by the reference."""
+    """Return XYZ for the chosen directions of a random call, computed by the float64 reference."""
     tolerance = 0.5 * min(case.tolerance, TRUTH_TOLERANCE) / closer
     return np.asarray(
         reference.reference_reflectance(

@@ -45,7 +45,7 @@ def best_effort(call, *args, **keywords):
 
 
 def outcome(call, *args, **keywords):
-    """Return the result of a library call, with the text of its error or warnings.
+    """Call a function of the library; return the result, and the text of its error or of its warnings.
 
     The result is None after an error. The text is empty if there is neither an error nor a warning.
     """
@@ -94,10 +94,10 @@ def spectral_error(rho, truth):
 
 
 def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
-    """Return a height field with a single row of samples across nano-fingers (``gratings.fingers``).
+    """Return a height field with a single row of samples across finger-like bumps (``gratings.fingers``).
 
-    The diffraction orders of the field lie in one plane. A view that moves in the plane of incidence crosses one order
-    after the other.
+    The diffraction orders of the row lie in one plane. A view direction that moves in the plane of incidence crosses
+    one order after the other.
     """
     heightfield = wd.gratings.fingers(
         size_um=(3.2, length_um), pitch_um=(0.2, pitch_um), period_um=min(1.1, length_um), seed=5
@@ -107,11 +107,14 @@ def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
 
 
 def in_plane(count, largest, seed=0):
-    """Return directions to light and view (count, 3) in the xz-plane, with |u| log-uniform from 0.02 to ``largest``."""
+    """Return random directions to light and viewer in the xz-plane, both (count, 3).
+
+    The component u of the scattering vector has a log-uniform magnitude from 0.02 to ``largest``.
+    """
     rng = np.random.default_rng(seed)
     u = np.exp(rng.uniform(math.log(0.02), math.log(largest), count))
-    # Here u is sin θi + sin θr, with the angles θi of light and θr of view from the normal. Both sines must be between
-    # −0.97 and 0.97.
+    # Here u is sin θi + sin θr, with the angles θi of the light and θr of the viewer from the normal. Both sines must
+    # be between −0.97 and 0.97.
     light = rng.uniform(np.maximum(-0.97, u - 0.97), np.minimum(0.97, u + 0.97))
     x = np.stack([light, u - light]) * rng.choice([-1.0, 1.0], count)
     pair = np.stack([x, np.zeros_like(x), np.sqrt(1.0 - x**2)], axis=-1)
@@ -119,7 +122,10 @@ def in_plane(count, largest, seed=0):
 
 
 def hemisphere_pairs(count, lowest=0.1, seed=0):
-    """Return random directions to light and view (count, 3) on the hemisphere, with z >= ``lowest``."""
+    """Return random directions to light and viewer, both (count, 3), on the hemisphere above the surface.
+
+    Their components z along the normal are at least ``lowest``.
+    """
     rng = np.random.default_rng(seed)
     z, phi = rng.uniform(lowest, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
     s = np.sqrt(1.0 - z * z)
@@ -128,7 +134,10 @@ def hemisphere_pairs(count, lowest=0.1, seed=0):
 
 
 def with_lateral(count, order_rate, seed=0):
-    """Return random lights and views (count, 3) with |(u, v)| equal to ``order_rate``, which must be below 2."""
+    """Return random directions to light and viewer, both (count, 3).
+
+    The tangential part of their scattering vectors, (u, v), has the length ``order_rate``, which must be below 2.
+    """
     rng = np.random.default_rng(seed)
     lights = []
     while len(lights) < count:
@@ -149,10 +158,10 @@ def with_lateral(count, order_rate, seed=0):
 
 
 def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
-    """Return lights and views (count, 3) at an elevation above the horizon.
+    """Return random directions to light and viewer, both (count, 3), at an elevation above the horizon.
 
-    The azimuths of views are uniform, or normally distributed around the mirror direction with the standard deviation
-    ``spread_deg``.
+    The azimuths of the viewer are uniform, or normally distributed around the mirror direction with the standard
+    deviation ``spread_deg``.
     """
     rng = np.random.default_rng(seed)
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -164,10 +173,10 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
 
 
 def near_resonance(heightfield, away, wavelength_um, seed=7):
-    """Return directions to light and view (n, 3) in the xz-plane, near resonances of a replicated row of heights.
+    """Return directions to light and viewer, both (n, 3), near resonances of a row of heights that is repeated along x.
 
-    At a resonance, the phase between neighbouring periods is a whole number of turns. Here the phase differs from a
-    whole number by up to ``away`` turns.
+    At a resonance, the phase between neighbouring repetitions is a whole number of turns. Here the phase differs from a
+    whole number by up to ``away`` turns. The directions are in the xz-plane.
     """
     rng = np.random.default_rng(seed)
     orders = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
@@ -183,7 +192,10 @@ def near_resonance(heightfield, away, wavelength_um, seed=7):
 
 
 class Rows(NamedTuple):
-    """Fourier coefficients or their powers as products of a row of numbers per coefficient and basis functions of κ."""
+    """Fourier coefficients of a height field, or their powers, as sums of basis functions of κ = w/λ.
+
+    Each coefficient has a row of numbers, by which the basis functions are multiplied.
+    """
 
     values: np.ndarray  # complex amplitudes or real powers, shape (my, mx, terms)
     basis: object  # function of κ (m,) that returns the basis functions, shape (m, terms)
@@ -191,9 +203,9 @@ class Rows(NamedTuple):
 
 
 def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
-    """Return all Fourier coefficients of a height field, or their powers, for a range of κ = w/λ.
+    """Return all Fourier coefficients of a height field, or their powers, as functions of κ = w/λ in a range.
 
-    The results are in float32 or float64. With the method "exact", the results are accurate to rounding errors.
+    The numbers are float32 or float64. With the method "exact", the coefficients are accurate to rounding errors.
     """
     block = fourier_coefficients.Block(heightfield.shape, (0, 0), heightfield.shape)
     complex_type = np.complex64 if dtype == np.float32 else np.complex128
@@ -235,7 +247,7 @@ def windowed_powers(
     heightfield, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64,
     neighbour_extent=None, floor=False,
 ):  # fmt: skip
-    """Return powers ⟨|P|²⟩, averaged over all positions of a Gaussian coherence window, shape (n, m).
+    """Return diffracted powers ⟨|P|²⟩, averaged over all positions of a Gaussian coherence window, shape (n, m).
 
     Args:
         heightfield: Height field.
@@ -264,7 +276,7 @@ def windowed_powers(
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
-        # Along an axis with one sample, the heights are constant, and only the diffraction order 0 exists.
+        # Along an axis with one height sample, the surface is constant, and only the diffraction order 0 exists.
         order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))
@@ -289,7 +301,10 @@ def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
 
 
 def most_terms(heightfield, method, kappa, tolerance=1e-13):
-    """Return the number of terms that a series requires for a tolerance, but at most the library's limit."""
+    """Return the number of terms that a method's series of exp(2πiκh) requires for a tolerance at κ = ``kappa``.
+
+    h are the heights. The number is at most the library's limit.
+    """
     if method in SERIES:
         expansion = EXPANSIONS[method]
         return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)
@@ -394,7 +409,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """Return the factor |(p + iq)/N|² of N periods, with p + iq in the form of Single (2014, eq. 3.47).
+    """Return the ratio of the power |P|² of N periods to that of one, as |(p + iq)/N|² of Single (2014, eq. 3.47).
 
     In the publication, the sum p + iq is over n = 0 … N and has N + 1 terms. Here the sum ends at N − 1, so that it has
     one term per period. ``turns`` is the phase between neighbouring periods, in turns.
@@ -409,10 +424,10 @@ def published_replicas(turns, periods, dtype=np.float64):
 
 
 def plain_replicas(turns, periods, dtype=np.float64):
-    """Return the factor [sin(πNt)/(N sin(πt))]² of N periods by direct evaluation, for a phase of t turns per period.
+    """Return the ratio [sin(πNt)/(N sin(πt))]² of the power |P|² of N periods to that of one, by direct evaluation.
 
-    The number t is not reduced to its distance from an integer. Integers t, for which the quotient is 0/0, are not
-    treated separately.
+    The phase between neighbouring periods is t turns. The number t is not reduced to its distance from an integer.
+    Integers t, for which the quotient is 0/0, are not treated separately.
     """
     angle = (math.pi * np.asarray(turns)).astype(dtype)
     with np.errstate(all="ignore"):
@@ -420,7 +435,10 @@ def plain_replicas(turns, periods, dtype=np.float64):
 
 
 def nearest_orders_power(heightfield, scattering_vector, wavelength_um, neighbour_extent):
-    """Return |P|² of a patch with one row, by interpolation between the 2·neighbour_extent + 1 nearest orders."""
+    """Return the diffracted power |P|² of a height field with one row, for a scattering vector between orders.
+
+    The amplitude is interpolated between those of the 2·neighbour_extent + 1 nearest diffraction orders.
+    """
     n, length = heightfield.shape[1], heightfield.size_um[1]
     coefficients = np.fft.ifft(np.exp(2j * np.pi * scattering_vector[2] / wavelength_um * heightfield.heights_um[0]))
     t = scattering_vector[0] / wavelength_um * length

@@ -40,7 +40,7 @@ class Body(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Reference colours of pixels.
+    """Reference colours of pixels of a picture.
 
     Attributes:
         xyz: XYZ, shape (k, 3).

@@ -19,7 +19,7 @@ from bench.truth.coherent_sums import BLUEST, REDDEST, step_of, sum_for
 # Number of Gauss-Legendre nodes per cell of the quadrature over τ = 1/λ, which divides the range into cells. Cells are
 # halved until the integral converges.
 POINTS = 8
-# Smallest number of cells of the quadrature over τ = 1/λ.
+# Smallest number of cells into which the quadrature divides the range of τ = 1/λ.
 FEWEST_CELLS = 8
 # Largest number of cells of the quadrature over τ = 1/λ. The value is limited by memory; a reference that requires more
 # cells is refused.
@@ -27,10 +27,10 @@ MOST_CELLS = 1 << 19
 
 
 def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
-    """Return the gain C·M of unit vectors (n, 3) in the local frame, divided by cos θi if ``source`` is True.
+    """Return the gain C·M, by which the diffracted power is multiplied, for unit vectors (n, 3) in the local frame.
 
-    C is a geometry factor, and M the masking and shadowing by the relief. The gain is 0 where one of the vectors is
-    below the surface.
+    C is a geometry factor, divided by cos θi if ``source`` is True. M is the masking and shadowing by the relief. The
+    gain is 0 where the direction to the light or to the viewer is below the surface.
     """
     illuminated = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
     result = np.zeros(len(illuminated))
@@ -48,7 +48,7 @@ def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
 
 
 def fresnel(cosine, ior):
-    """Return the power reflectance by Schlick's approximation."""
+    """Return the power reflectance of a dielectric by Schlick's approximation of the Fresnel equations."""
     normal = 1.0 if math.isinf(ior) else ((ior - 1.0) / (ior + 1.0)) ** 2
     return normal + (1.0 - normal) * (1.0 - cosine) ** 5
 
@@ -102,7 +102,9 @@ def reference_spectral(
     heightfield, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None,
     masking=True, centre=None,
 ):  # fmt: skip
-    """Return reflectances ρ of unit vectors (n, 3) in the local frame at m wavelengths, shape (n, m).
+    """Return reflectances ρ for directions to light and viewer (n, 3) in the local frame, at m wavelengths.
+
+    The result has the shape (n, m).
 
     The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
@@ -134,7 +136,9 @@ def reflected(material, to_light, to_view, wavelengths_um):
 
 
 def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
-    """Return XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ for the illuminant S, shape (n, 3).
+    """Return XYZ for scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, with diffracted power ⟨|P|²⟩.
+
+    S is the spectrum of the illuminant.
 
     The cells of the quadrature are halved until XYZ changes by less than a twentieth of the tolerance.
     """
@@ -169,7 +173,7 @@ def reference_reflectance(
     heightfield, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
     material=None, masking=True, centre=None,
 ):  # fmt: skip
-    """Return XYZ of unit vectors (n, 3) in the local frame, shape (n, 3).
+    """Return XYZ for directions to light and viewer (n, 3) in the local frame, shape (n, 3).
 
     The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """

@@ -39,18 +39,19 @@ if TYPE_CHECKING:
 # Number of traced rays along each axis of a pixel. A sample of the pixel filter uses the nearest traced ray. With a
 # much smaller number, the sampled filter would differ from the exact filter.
 _ACROSS = 16
-# Half of the directions to the light are drawn around the mirror direction. The number is the share of these directions
-# for which |(u, v)| is within the first value of `_mirror`, a radius within which the density is uniform. The mean of
-# the sums does not depend on this share, only their noise does.
+# Half of the directions to the light are drawn around the mirror direction, where the scattering vector has (u, v) = 0.
+# The number is the share of these directions with |(u, v)| below a radius, the first value of `_mirror`. Below it, the
+# density is uniform. The mean of the sums does not depend on this share, only their noise does.
 _CORE = 0.25
-# Number of directions whose colours are computed in one call. The value is limited by memory.
+# Number of pairs of light and view directions whose colours are computed in one call. The value is limited by memory.
 _DIRECTIONS = 1 << 17
 # Length of shadow rays [mesh radii]. The value is twice the largest distance between two points of a mesh, so that no
 # occluder is missed.
 _FAR = 4.0
 
 
-# With other compile options than those of the package, Warp would precompile its own C++ headers once more, for 2 s.
+# The kernel has the compile options of the package. With other options, Warp would precompile its own C++ headers once
+# more, which takes 2 s.
 @wp.kernel(module="unique", module_options=compile_options.options())
 def _find_occluded(
     mesh: wp.uint64, origins: wp.array(dtype=wp.vec3f), towards: wp.array(dtype=wp.vec3f), far: wp.float32,
@@ -139,16 +140,16 @@ class SkySums:
         cumulative = np.cumsum(share_of)
 
         def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Between the centres of its pixels, the sky is interpolated linearly. The contribution of a sky pixel
-            # therefore extends to the centres of neighbouring pixels, and is triangular along each axis.
+            # The radiance of the sky is interpolated linearly between the centres of its pixels. The contribution of a
+            # sky pixel therefore extends to the centres of neighbouring pixels, and is triangular along each axis.
             pixel = np.minimum(np.searchsorted(cumulative, share[:, 0]), cumulative.size - 1)
             within = (share[:, 0] - np.append(0.0, cumulative)[pixel]) / share_of.ravel()[pixel]
             down, right = (_triangular(number) for number in (within, share[:, 1]))
             polar = (pixel // width + 0.5 + down) / height * math.pi
             azimuth = ((pixel % width + 0.5 + right) / width - 0.5) * 2.0 * math.pi
             along = [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)]
-            # Samples beyond a pole of the sky become zero vectors. They do not contribute, because a zero vector does
-            # not count as above the surface.
+            # Directions beyond a pole of the sky become zero vectors. They do not contribute, because a zero vector
+            # does not count as above the surface.
             return np.where((polar > 0.0) & (polar < math.pi), along, 0.0).T
 
         def density(along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,10 +175,11 @@ class SkySums:
         self, pixels: NDArray[np.int64], draw: Callable[..., Any], density: Callable[..., Any],
         colours: Callable[..., Any], across: int, seed: int,
     ) -> NDArray[np.float64]:  # fmt: skip
-        """Return sums over directions, half of them drawn from the light and half around the mirror direction.
+        """Return XYZ of pixels as sums over directions to the light.
 
-        ``draw`` returns directions to the light from random numbers. ``density`` returns the probability of directions
-        per solid angle, and ``colours`` the reflected XYZ per solid angle.
+        Half of the directions are drawn from the light, and half around the mirror direction. ``draw`` returns
+        directions to the light from random numbers. ``density`` returns the probability density of these directions per
+        solid angle, and ``colours`` the reflected XYZ per solid angle.
         """
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
@@ -221,17 +223,20 @@ class SkySums:
 
     @property
     def _mirror(self) -> tuple[float, float]:
-        """Parameters of the distribution over (u, v) from which directions around the mirror direction are drawn.
+        """Parameters of the distribution from which light directions around the mirror direction are drawn.
 
-        The first value is a radius |(u, v)| within which the density is uniform. Beyond this radius, the logarithm of
-        |(u, v)| is distributed uniformly. The second value is the logarithm of 2 over this radius, where 2 is the
-        largest |(u, v)|.
+        The distribution is over (u, v), the tangential part of the scattering vector. The first value is a radius
+        |(u, v)| within which the density is uniform. Beyond it, the logarithm of |(u, v)| is distributed uniformly. The
+        second value is the logarithm of 2 over this radius, where 2 is the largest |(u, v)|.
         """
         within = 0.05 / (self._coherence.sigma_um or math.inf)
         return within, math.log(2.0 / within)
 
     def _far_from_mirror(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (u, v), shape (n, 2), of directions around the mirror direction, for pairs of random numbers."""
+        """Return (u, v) of the scattering vectors of light directions around the mirror direction, shape (n, 2).
+
+        ``share`` has two uniform random numbers for each direction.
+        """
         within, digits = self._mirror
         radius = np.where(
             share[:, 0] < _CORE,
@@ -242,7 +247,10 @@ class SkySums:
         return np.stack([radius * np.cos(around), radius * np.sin(around)], axis=-1)
 
     def _density(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the probability density over (u, v) of directions around the mirror direction, for radii |(u, v)|."""
+        """Return the probability density over (u, v) of light directions that are drawn around the mirror direction.
+
+        (u, v) is the tangential part of the scattering vector, and ``radius`` is |(u, v)|.
+        """
         within, digits = self._mirror
         beyond = (1.0 - _CORE) / (2.0 * math.pi * digits * np.maximum(radius, within) ** 2)
         return np.where(radius < within, _CORE / (math.pi * within**2), np.where(radius < 2.0, beyond, 0.0))
@@ -251,7 +259,10 @@ class SkySums:
     def _rays(
         pixel: NDArray[np.int64], cells: NDArray[np.int64], across: int, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Return indices of traced rays that sample the filter of a pixel, one ray in each of ``across``² strata."""
+        """Return indices of traced camera rays that sample the filter of a pixel, one ray per stratum of the filter.
+
+        The filter has ``across``² strata.
+        """
         share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
         return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
 
