@@ -1,4 +1,4 @@
-"""Keys of lines "key: value" in headers of text exports, by the fact that they state: sizes, pitches, counts, units."""
+"""Keys of header lines "key: value" in text files of heights, by the fact that they state, such as size or unit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from warpdiff.heightfield.readers import length_units
 Kind = Literal["size", "pitch", "count", "size or count", ""]
 Axis = Literal["x", "y", ""]
 
-# Matches the letters of a unit of length, with both Unicode characters of µ.
+# Matches a word that may be a unit of length, with both Unicode characters of µ.
 UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
 # Matches the unit in a key, such as "Width (µm)", "X length in µm" or "Size X/µm".
 IN_KEY = re.compile(
@@ -20,7 +20,7 @@ IN_KEY = re.compile(
 
 
 def _names(*lines: str) -> frozenset[str]:
-    """Return the set of keys in strings; vertical bars separate the keys of a string."""
+    """Return the set of keys of header lines that a string lists, separated by vertical bars."""
     return frozenset("|".join(lines).split("|"))
 
 
@@ -104,7 +104,7 @@ class Key(NamedTuple):
 
 
 def words_of(key: str) -> str:
-    """Return a key in the form in which keys are listed here: in lower case, without units, hyphens and underscores."""
+    """Return a key in the form of the lists of keys: in lower case, without units, hyphens and underscores."""
     match = IN_KEY.search(key)
     if match is not None and (match["bracket"] or length_units.factor_of(match["word"]) is not None):
         key = f"{key[: match.start()]} {key[match.end() :]}"
