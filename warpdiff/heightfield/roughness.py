@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.blocks import Block
     from warpdiff.heightfield.field import HeightField
 
-# Root mean square height of a levelled field, relative to its largest height before levelling, up to which the field
-# counts as flat. The value is limited by rounding errors of the subtracted polynomial. If doubled, no measured field
-# changes, because its noise is far larger.
+# A levelled field counts as flat up to this root mean square height, relative to the largest height before levelling.
+# The value is limited by rounding errors of the subtracted polynomial. If doubled, no measured field changes, because
+# its noise is far larger.
 _ROUNDING = 1e-10
 # Standard errors come from a jackknife over rectangular blocks of the field. The number is the least length of a block
 # along an axis, in decay lengths of the autocorrelation. It was fitted by bench/reproduce/iso_25178.py, so that two
@@ -33,19 +33,19 @@ _ROUNDING = 1e-10
 # standard errors are too small.
 _DECAYS_PER_BLOCK = 5.0
 # Largest number of blocks into which a field is divided to estimate standard errors: along each axis of a field, and
-# along a profile (single row or column of samples). More blocks would gain little: a standard error from 64 blocks has
-# itself an error of only 9 %.
+# along a profile (single row or column of samples). More blocks would gain little: a standard error from 8 × 8 blocks
+# has itself an error of only 9 %.
 _MOST_BLOCKS, _MOST_BLOCKS_OF_PROFILE = 8, 32
-# Least number of blocks of the field from which a standard error is estimated: the four quarters of a field. If halved,
-# the standard error is known only to a factor of 4.
+# Least number of blocks of the field from which a standard error is estimated: with 2 × 2 blocks, these are the
+# quarters of the field. If halved, the standard error is known only to a factor of 4.
 _LEAST_BLOCKS = 4
-# Largest number of samples along an axis for the first estimate of the autocorrelation; larger fields are averaged over
-# groups of samples. The value is limited by time: the Fourier transform of twice as many samples along both axes takes
-# 0.2 s.
+# The autocorrelation is first estimated from at most this number of samples along an axis. In larger fields, groups of
+# neighbouring samples are averaged for this estimate. The value is limited by time: the Fourier transform of twice as
+# many samples along both axes takes 0.2 s.
 _COARSE = 1024
-# Ratio of the largest computed lag to the extent of the region of lags where the autocorrelation exceeds
-# `autocorrelation.THRESHOLD`. The margin is necessary because the extent is an estimate. If doubled, the Fourier
-# transforms of the autocorrelation take longer.
+# Margin of the largest lag at which the autocorrelation is computed. It is relative to the extent of the region of lags
+# where the autocorrelation exceeds `autocorrelation.THRESHOLD`. The margin is necessary because the extent is an
+# estimate. If doubled, the Fourier transforms of the autocorrelation take longer.
 _MARGIN = 1.3
 # A field with grooves is divided into blocks for the standard errors. The number is the largest angle between the
 # grooves and an axis [degrees] at which the blocks are stripes along this axis. Stripes are necessary because parts of
@@ -173,7 +173,7 @@ class Roughness:
 
 
 def with_error(value: float, standard_error: float) -> str:
-    """Return a value and its standard error as text; the error has two significant digits.
+    """Return a value and its standard error as text; the standard error has two significant digits.
 
     An error below a millionth of the value is printed as an upper bound, such as ``<0.001``.
     """
@@ -292,8 +292,8 @@ def _sums(
         excess, cells = float(np.sum(_excess(squares[pairs]))), int(np.count_nonzero(pairs))
     else:
         whole = pairs_x[1:] & pairs_x[:-1]
-        # Each diagonal splits a square of four neighbouring samples into two triangles. The area of the square is the
-        # mean over both diagonals, which is half of the sum of all four triangles.
+        # Each diagonal splits a square of four neighbouring samples into two triangles. The surface area over the
+        # square is the mean over both diagonals, which is half of the sum of all four triangles.
         excess = 0.25 * sum(
             float(np.sum(_excess((x + y)[whole])))
             for x in (squares_x[:-1], squares_x[1:])
@@ -323,7 +323,7 @@ def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 def _coarse_decay(heights: NDArray[np.float64], known: NDArray[np.bool_], pitch_um: tuple[float, float]) -> Decay:
     """Return the decay of the autocorrelation of a field; a large field is averaged over groups of samples first.
 
-    The extents of the decay along y and x are in samples of the field before averaging.
+    The extents of the decay, the largest lags along y and x above the threshold, are in samples before averaging.
     """
     factors = tuple(-(-n // _COARSE) for n in heights.shape)
     if max(factors) > 1:

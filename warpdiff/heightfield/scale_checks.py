@@ -32,13 +32,14 @@ _STEEP, _TOO_STEEP = 5.0, 10.0
 # Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. Flat
 # fields get no warning about their unit.
 _ROUNDING = 1e-12
-# Units that users may have meant instead of µm, with their sizes in µm, from the most to the least usual unit.
+# Units of length that users may have meant instead of µm, with their sizes in µm, from the most to the least usual
+# unit.
 _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
 # Usual height ranges [µm], pitches [µm] and mean slopes of scans. A warning proposes another unit only if this unit
 # brings all three quantities into their usual ranges.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
-# Middle of the usual height ranges [µm]. If several units are possible, the unit is proposed that brings the height
-# range nearest to this middle, on a logarithmic scale.
+# Middle of the usual height ranges [µm]. If several units of the heights are possible, a warning proposes the unit that
+# brings the height range nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
 # Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
 # Both values are conventions; if doubled, fewer wrong units are noticed.
@@ -225,7 +226,7 @@ class _Scale:
 
     @staticmethod
     def _changes() -> Iterator[tuple[str, str]]:
-        """Yield all pairs of a unit of the heights and a unit of the pitch, of which at least one is not µm."""
+        """Yield all pairs of a unit of the heights and a unit of the pitch, except the pair of µm and µm."""
         for heights in ("", *_UNITS):
             for pitch in ("", *_UNITS):
                 if heights or pitch:
@@ -242,5 +243,5 @@ class _Scale:
 
 
 def _is_within(pitch: tuple[float, float], size: float) -> bool:
-    """Return whether the smallest pitch, the largest pitch and the size [µm] are in the ranges of usual scans."""
+    """Return whether the smallest pitch, the largest pitch and the size [µm] of a field are usual for scans."""
     return _PITCHES_UM[0] <= pitch[0] and pitch[1] <= _PITCHES_UM[1] and size >= _LEAST_SIZE_UM
