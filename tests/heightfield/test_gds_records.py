@@ -87,7 +87,7 @@ def test_damaged_layouts_are_refused_with_their_record(case, tmp_path):
 
 
 def test_deep_references_are_refused(tmp_path):
-    """A layout of 301 cells, of which each one refers to the next one, must be refused."""
+    """A layout of 301 cells, each of which contains the next one, must be refused because of its deep nesting."""
     begin, end = LAYOUT[: index_of("BGNSTR")], [(TYPES["ENDLIB"], b"")]
     stamp = LAYOUT[index_of("BGNSTR")]
     cells = []

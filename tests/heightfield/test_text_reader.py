@@ -149,7 +149,7 @@ EXPORTS = {
     "No Data in a matrix": Export(NM + table(GAP, "\t", gap="No Data"), heights=1e-3 * GAP),
     "infinity": Export(NM + table(GAP, gap="inf"), heights=1e-3 * GAP),
     "spreadsheet errors": Export(NM + table(GAP, ",", gap="#N/A"), heights=1e-3 * GAP),
-    # Matrices with labels: numbers of rows or columns, or positions, which are no heights.
+    # Matrices with labels in the first row or column: indices of rows or columns, or positions, which are no heights.
     "numbers of rows": Export(
         ";a;b;c;d\n"
         + "".join(f"{k};{line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID]), ";").splitlines())),

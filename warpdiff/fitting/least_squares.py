@@ -39,8 +39,8 @@ _SAME = 0.5
 # the second value, its largest number of steps. The number of steps was chosen because a start near a minimum needs
 # fewer than 30 steps.
 _CHANGE, _MOST_STEPS = 1e-9, 60
-# Gradient of χ² that counts as 0, so that the minimiser ends. It is relative to the χ² at the start, and each parameter
-# is in units of its range. The value is limited by rounding errors of float64.
+# The minimiser ends if the gradient of χ² is at most this value. The gradient is relative to the χ² at the start, and
+# each parameter is in units of its range. The value is limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
 # Largest number of start values of the minimiser. The value is limited by the computing time, which is proportional to
 # it.
@@ -58,8 +58,8 @@ _LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
 # A fit warns if the measured power in an order that does not propagate exceeds this value, in standard deviations of
 # the measurement. The value was chosen because noise exceeds it only once in 16,000 measured values.
 _SIGNIFICANT = 4.0
-# χ² per degree of freedom above which a report states that the model does not explain the data. The value was chosen
-# because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
+# A report states that the model does not explain the data if χ² per degree of freedom exceeds this value. The value was
+# chosen because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
 _BAD_CHI2 = 3.0
 # Least distance of a start from a bound of a parameter, relative to the range of the parameter (the difference of both
 # bounds). A best value within ten times this distance counts as being at the bound.

@@ -46,7 +46,7 @@ COLUMNS = {
 }
 
 
-# Efficiency (reflected over incident power) above which values are probably in percent. An order reflects at most the
+# Efficiencies (reflected over incident power) above this value are probably in percent. An order reflects at most the
 # incident power, so that its efficiency is at most 1. The margin of 0.5 allows for noise.
 _LARGEST_EFFICIENCY = 1.5
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.wave_search import Wave
 
-# Fraction of the variance of the heights below which a wave is not reported as a period.
+# A wave is reported as a period only if it explains at least this fraction of the variance of the heights.
 _LEAST_SHARE = 1e-3
 # Least number of samples per period, along x and along y, of a resolved period. The value is limited by artefacts: a
 # scan that was rotated or scaled has copies of its spectral lines near the sampling limit of two samples per period.

@@ -51,8 +51,8 @@ _MARGIN = 1.3
 # grooves and an axis [degrees] at which the blocks are stripes along this axis. Stripes are necessary because parts of
 # a field along the same groove resemble each other. The value is half of the angle between an axis and the diagonal.
 _ALONG_AXIS_DEG = 22.5
-# Standard error of a parameter, relative to the parameter, above which the result also states a reason for the large
-# error. The value was chosen because two such standard errors are as large as the parameter.
+# If the standard error of a roughness parameter, relative to the parameter, exceeds this value, the result states a
+# reason for the large error. The value was chosen because two such standard errors are as large as the parameter.
 _LARGE_ERROR = 0.5
 # Least standard error that is printed as a number, relative to the parameter; a smaller error is printed as an upper
 # bound. The value was chosen so that printed values have at most seven digits.
@@ -66,13 +66,14 @@ _MEANINGS = {
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
 }
-# Reasons for a standard error above `_LARGE_ERROR`, by the name of the parameter. Near its minimum, the autocorrelation
-# changes slowly with distance, so that the distance at which it falls to the threshold has a large error.
+# Reasons for a standard error above `_LARGE_ERROR`, by the name of the roughness parameter. Near its minimum, the
+# autocorrelation changes slowly with distance, so that the distance at which it falls to the threshold has a large
+# error.
 _REASONS_OF_LARGE_ERRORS = {
     "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
     "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",
 }
-# Parameters that follow from sums over the samples of a field, without the autocorrelation of the heights.
+# Roughness parameters that follow from sums over the samples of a field, without the autocorrelation of the heights.
 _FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
 _UNITS = {"Sa": "µm", "Sq": "µm", "Sdq": "", "Sdr": "%", "Sal": "µm", "Str": ""}
 
@@ -226,7 +227,7 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
 
 
 def has_large_error(value: float, error: float | None) -> bool:
-    """Whether the standard error of a parameter is more than half as large as the parameter."""
+    """Whether the standard error of a roughness parameter is more than half as large as the parameter."""
     return error is not None and error > _LARGE_ERROR * abs(value)
 
 

@@ -25,12 +25,11 @@ _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 _MOST_PITCH_UM = 2.0
 # Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth diffraction order.
 _LEAST_SIZE_UM = 0.19
-# Mean slopes above which a field gets a warning. A mean slope above `_STEEP` causes a warning if the median slope also
-# exceeds `_STEEP`. A mean slope above `_TOO_STEEP` always causes a warning. An echelle grating of 76° has a mean slope
-# of 8 but a median slope of 4, and gets no warning.
+# A field gets a warning if its mean and its median slope exceed `_STEEP`, or if its mean slope exceeds `_TOO_STEEP`. An
+# echelle grating of 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
 _STEEP, _TOO_STEEP = 5.0, 10.0
-# Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. Flat
-# fields get no warning about their unit.
+# A field counts as flat up to this height range, relative to the largest absolute height: such a range consists of
+# rounding errors. Flat fields get no warning about their unit.
 _ROUNDING = 1e-12
 # Units of length that users may have meant instead of µm, with their sizes in µm, from the most to the least usual
 # unit.
@@ -41,8 +40,8 @@ _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, 
 # Middle of the usual height ranges [µm]. If several units of the heights are possible, a warning proposes the unit that
 # brings the height range nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
-# Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
-# Both values are conventions; if doubled, fewer wrong units are noticed.
+# A warning asks for the unit of a synthetic grating if its period [µm], or the ratio of its depth to its period,
+# exceeds these values. Both are conventions; if doubled, fewer wrong units are noticed.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
 # Largest number of slopes along each axis from which the mean and the median slope are computed. The value is limited
 # by time: if doubled, the check takes twice as long.

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 # [cycles over the field]: narrow lines need 1, and the broad lines of waves with a varying phase need more. At least
 # `_LEAST_BOXES` boxes must fit along each axis of the spectrum; wider boxes are not used.
 _WIDTHS, _LEAST_BOXES = (1, 3, 7, 15, 31), 4
-# Accepted probabilities that noise alone is taken for a spectral line. `_FALSE_ALARM` is the probability anywhere in
-# the spectrum, for each width of the boxes over which the spectrum is averaged. `_SINGLE_FALSE_ALARM` is the
-# probability at a single known frequency.
+# Accepted probabilities that noise alone is taken for a spectral line. `_FALSE_ALARM` is the probability that this
+# happens anywhere in the spectrum, for each width of the boxes over which the spectrum is averaged.
+# `_SINGLE_FALSE_ALARM` is the probability at a single known frequency.
 _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
-# Smallest ratio of the power of a broad spectral line to the background around it. Estimates of the background are
-# wrong by less than this factor. If doubled, weak waves with a varying phase are lost.
+# A broad spectral line must exceed the background around it by at least this factor. Estimates of the background are
+# wrong by a smaller factor. If doubled, weak waves with a varying phase are lost.
 _LEAST_CONTRAST = 4.0
 # A maximum of the spectrum is examined further if noise alone causes it with at most this probability. The power of the
 # noise is here the coarse background, which is estimated in rings and sectors of the frequency plane.
@@ -52,8 +52,8 @@ _HIGHEST = (1.8, 2.4)
 # coefficients are used in total: of a larger spectrum, every nth coefficient is used. This number is limited by time;
 # if doubled, the estimate takes twice as long.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
-# Frequency [cycles over the longer side of the field] below which all Fourier coefficients are used for the coarse
-# background, also in large spectra.
+# At frequencies below this value [cycles over the longer side of the field], all Fourier coefficients are used to
+# estimate the coarse background, also in large spectra.
 _FEW_CYCLES = 64.0
 # The power of the background is modelled as proportional to the frequency to the power −p. These are the smallest and
 # the largest accepted exponent p. Values beyond these limits are errors of an estimate from few Fourier coefficients.

@@ -47,12 +47,12 @@ Grade = Literal["reliable", "qualitative", "invalid"]
 # Wavelength of a verdict on scalar diffraction, if the caller states no wavelengths [nm]: green, the middle of the
 # visible range.
 WAVELENGTH_NM = 550.0
-# Estimated error of order efficiencies from which the verdict on scalar diffraction is "qualitative" instead of
-# "reliable": a tenth of the reflected power. If doubled, gratings with larger errors are graded reliable.
+# The verdict on scalar diffraction is "qualitative" instead of "reliable" if the estimated error of order efficiencies
+# is at least this value, a tenth of the reflected power. If doubled, gratings with larger errors are graded reliable.
 QUALITATIVE = 0.1
-# Estimated error of order efficiencies from which the verdict on scalar diffraction is "invalid". Of the gratings with
-# such an estimate, 99 % have an order whose efficiency is wrong by more than a tenth of the reflected power. If halved,
-# shallow patterns with features of two wavelengths are graded invalid.
+# The verdict on scalar diffraction is "invalid" if the estimated error of order efficiencies is at least this value. In
+# 99 % of the gratings with such an estimate, the efficiency of an order is wrong by more than a tenth of the reflected
+# power. If halved, shallow patterns with features of two wavelengths are graded invalid.
 INVALID = 0.9
 # Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. They were
 # fitted to rigorous solutions for two thirds of the periods and depths; the other third tests the factors
@@ -347,7 +347,7 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
 
 
 def _lights(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
-    """Return the directions to the light for which orders are summed: on both sides of the normal along x and y.
+    """Return the directions to the light for which efficiencies are summed: on both sides of the normal, along x and y.
 
     There are no directions along an axis on which the height field has a single sample.
     """

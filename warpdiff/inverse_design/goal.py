@@ -43,8 +43,9 @@ _PER_LOST_SHARE = 500.0
 # exposure. The value was chosen so that a design that is twice as bright may have a colour error of 4.6 in CIE Lab.
 # Larger weights make colours wrong.
 _PER_EXPOSURE = 30.0
-# Sum of the efficiencies of a target up to which all of its orders count as dark. The value is far above the rounding
-# errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design changes.
+# All orders of a target count as dark if the sum of their efficiencies is at most this value. The value is far above
+# the rounding errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design
+# changes.
 LEAST_POWER = 1e-12
 # Constant δ of CIE Lab (CIE 15). Lab's function of X, Y and Z is linear where their ratio to the white is at most δ³.
 _DELTA = 6.0 / 29.0

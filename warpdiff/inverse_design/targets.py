@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest number of orders of a target. The value is limited by the computing time of the exchange of pixels, which is
-# proportional to it.
+# Largest number of orders of a target. The value is limited by the time of the search, which changes single pixels and
+# sums the changes of all orders.
 _MOST_ORDERS = 100_000
 # Largest accepted magnitude of the index of an order. The value is far above the orders that propagate for any period.
 _LARGEST_ORDER = 1e9

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 # Power that returns from the lower end of the layer that replaces an absorbing substrate, relative to the power that
 # enters the layer. The value was chosen so that this power is about as small as rounding errors.
 _RETURNED = 1e-13
-# Imaginary part k of the index of refraction up to which a substrate counts as transparent. A substrate with larger k
-# is replaced by a layer that absorbs all light. For smaller k, this layer would be about 1 cm thick or thicker.
+# A substrate counts as transparent if the imaginary part k of its index of refraction is at most this value. A
+# substrate with larger k is replaced by a layer that absorbs all light. For smaller k, this layer would be about 1 cm
+# thick or thicker.
 _TRANSPARENT = 1e-4
 # Largest accepted difference between the solver's reflectance of a flat surface and that of Fresnel's equations. The
 # value is far above rounding errors of float64.

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Rows = Literal["down", "up"]
-# Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. A reader
-# that confuses the units of a file returns such sizes. If doubled, a few more of these wrong sizes are accepted.
+# A file is refused if its height field is wider or higher than this [µm]: 1 m, larger than the field of any instrument.
+# A reader that confuses the units of a file returns such sizes. If doubled, a few more of these wrong sizes are
+# accepted.
 _MOST_EXTENT_UM = 1e6
 # Largest accepted difference between the pitch that a file states and the pitch that the caller states, relative to the
 # pitch. Small differences are accepted, because the numbers in a file are rounded; the pitch of the file is then used.

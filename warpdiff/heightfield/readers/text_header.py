@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_statements import Signs, Statement
     from warpdiff.heightfield.readers.text_table import Form
 
-# Number of header lines that are searched for facts (sizes, units, a channel): the last lines before the numbers.
+# Number of header lines that are searched for facts such as sizes and units: the last lines before the numbers.
 _MOST_LINES = 400
-# Number of characters above which a header line is not searched for facts. The value was chosen because longer lines
-# are free text.
+# A header line with more characters than this is not searched for facts such as sizes, because longer lines are free
+# text.
 MOST_LENGTH = 400
 # A header line with more numbers than this value states no sizes; it is a row of a table.
 _MOST_NUMBERS = 4

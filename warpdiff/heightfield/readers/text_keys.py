@@ -142,7 +142,7 @@ def key_of(text: str, *, per_pixel: bool = False) -> Key:
 
 
 def _axis_and_base(text: str) -> tuple[Axis, str]:
-    """Return the axis that a key names, an empty string for none, and the key without this axis."""
+    """Return the axis that the key of a header line names, an empty string for none, and the key without this axis."""
     axes, base = [], []
     for word in text.split():
         glued = _GLUED.fullmatch(word)
@@ -170,20 +170,20 @@ def states_unit_z(words: str, *, is_plain: bool) -> bool:
 
 
 def states_unit_xy(words: str) -> bool:
-    """Whether a key states the unit of the positions x and y."""
+    """Whether the key of a header line states the unit of the positions x and y."""
     return _UNITS_XY.fullmatch(words) is not None
 
 
 def states_factor(words: str) -> bool:
-    """Whether a key states a factor by which the numbers of the file are multiplied to give heights."""
+    """Whether the key of a header line states a factor between the numbers of the file and the heights."""
     return words in _FACTORS or _FACTOR_OF_HEIGHTS.search(words) is not None
 
 
 def states_no_data(words: str) -> bool:
-    """Whether a key states the code or the number of missing samples."""
+    """Whether the key of a header line states the code of missing samples, or how many samples are missing."""
     return _NO_DATA.search(words) is not None
 
 
 def states_code(words: str) -> bool:
-    """Whether a key about missing samples states their code, and not how many samples are missing."""
+    """Whether the key of a header line about missing samples states their code, and not their number."""
     return _CODE.search(words) is not None

@@ -287,7 +287,7 @@ def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _is_counted(values: np.ndarray) -> bool:
-    """Whether values are consecutive whole numbers that begin with 0 or 1."""
+    """Whether values are consecutive whole numbers that begin with 0 or 1, as indices of rows or columns do."""
     return values[0] in (0.0, 1.0) and np.array_equal(values, values[0] + np.arange(len(values)))
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Size of the decompressed text above which a file is refused [bytes]: 100 million numbers of ten characters. The limit
-# also stops small compressed files that expand to very large texts.
+# A file is refused if its decompressed text is larger than this size [bytes]: 100 million numbers of ten characters.
+# The limit also stops small compressed files that expand to very large texts.
 MOST_BYTES = 1 << 30
 # The separator and the decimal sign of a text are found by trials on a sample of its lines. The sample has at most
 # `_SAMPLE_LINES` lines and `_SAMPLE_CHARACTERS` characters. If doubled, the trials take twice as long and have the same
@@ -145,7 +145,7 @@ class Form(NamedTuple):
         return float(cell.replace(",", ".").upper().replace("D", "E"))
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line; None if a cell is no number, or if the line is one missing sample."""
+        """Return the numbers of a line; None if a cell is no number, or if the only cell is a missing sample."""
         if self.decimal == "." and not self.thousands and '"' not in line and "_" not in line:
             try:
                 fast = list(map(float, line.split(self.separator)))

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 # Measured peak memory while a file is read [bytes per sample]: samples of the file, float64 heights, mask of missing
 # samples, and the height field. If doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 40.0
-# Size of the XML header above which a file is refused [bytes]. A header may contain the heights themselves; at this
-# size it has about a million heights. The limit stops compressed headers that expand a thousandfold.
+# A file is refused if its XML header is larger than this size [bytes]. A header may contain the heights themselves; at
+# this size it has about a million heights. The limit stops compressed headers that expand a thousandfold.
 _MOST_XML_BYTES = 1 << 25
-# Nesting depth of XML elements above which a file is refused. The XML headers of the format have a depth of 6.
+# A file is refused if elements of its XML header are nested deeper than this. The XML headers of the format have a
+# depth of 6.
 _MOST_DEPTH = 32
 # The XML header is searched among the files in the zip archive. This is the largest number of files that are searched.
 # Archives of the format have about 5 files.

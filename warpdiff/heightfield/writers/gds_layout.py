@@ -173,7 +173,7 @@ def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> Non
 
 
 def _steps(polygons: list[Points]) -> Steps:
-    """Return the steps (horizontal edges, with their effect on the coverage) of polygons without sloped edges."""
+    """Return the horizontal edges of polygons as steps, which state on which side of an edge the polygon is."""
     fours = [points for points in polygons if len(points) == 4]
     boxes = np.array(fours, dtype=np.int64).reshape(-1, 4, 2)
     low, high = boxes.min(axis=1), boxes.max(axis=1)

@@ -115,7 +115,10 @@ def steps_of_rectangles(left: Indices, bottom: Indices, right: Indices, top: Ind
 
 
 def steps_of_polygon(x: list[int], y: list[int]) -> list[tuple[int, int, int, int]]:
-    """Return the steps (y, left, right, change) of a polygon with horizontal and vertical edges, by the even-odd rule.
+    """Return the horizontal edges of a polygon as steps (y, left, right, change), by the even-odd rule.
+
+    The change is that of the number of covering polygons from below to above the edge: 1 or −1. Other edges are
+    vertical.
 
     Args:
         x: Coordinates x of the vertices in their order around the polygon, n numbers.
@@ -169,7 +172,8 @@ def _united(steps: Steps) -> Steps:
         np.add.at(jumps, after[of_group] - low, -change[of_group])
         before = counts[low:high]
         above = before + np.cumsum(jumps[:-1], dtype=np.int32)
-        # For each interval, the change is 1 if the union begins at this height, −1 if it ends there, and otherwise 0.
+        # For each interval of x, the change is 1 if the union of the polygons begins at this y, −1 if it ends there,
+        # else 0.
         changes = np.zeros(high - low + 2, dtype=np.int8)
         np.subtract(above > 0, before > 0, out=changes[1:-1], dtype=np.int8)
         counts[low:high] = above
@@ -244,8 +248,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
             both = touched[0] == 0
             is_reversed = odd[-1] != (both and odd[0])
             touched, odd = [0, *touched[int(both) : -1]], [is_reversed, *odd[int(both) : -1]]
-        # An even number of changes at one point of the line cancels. An end of a feature there stays an end, but of
-        # another feature if two features touch at a corner.
+        # If a point of the line changes an even number of times, the changes cancel. An end of a feature at this point
+        # stays an end, but of another feature if two features touch at a corner.
         kinds = [(place, _kind(line, base, place)) for place, is_end in zip(touched, odd, strict=True) if not is_end]
         for place, is_end in zip(touched, odd, strict=True):
             if is_end:
