@@ -17,7 +17,7 @@ WIDE, NARROW = wd.Coherence(), wd.Coherence(sigma_um=0.3)
 
 
 def tilted(amount: float) -> wd.HeightField:
-    """Return a rough patch plus a plane, with a ratio ``amount`` of the standard deviations of plane and patch."""
+    """Return a rough patch plus a tilted plane, whose standard deviation is ``amount`` times that of the patch."""
     return wd.HeightField(PATCH.heights_um + amount * PATCH.rms_um * U / np.std(U), PATCH.pitch_um)
 
 

@@ -54,7 +54,7 @@ class Export:
         heights: Expected heights [µm], with row 0 at the top of the picture.
         pitch: Expected sample spacing (dy, dx) [µm].
         rows: Expected direction of the rows in the loaded field.
-            options: Arguments of ``HeightField.load`` that state the facts missing in the text.
+        options: Arguments of ``HeightField.load`` that state the facts missing in the text.
         encoding: Encoding of the file.
         suffix: Suffix of the file's name.
     """

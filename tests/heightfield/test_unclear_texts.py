@@ -83,7 +83,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "numbers of samples in brackets": (
         f"Width: 6 µm (12 px)\nHeight: 0.0036 mm (3.6 µm) ± 0.1 µm\n{UNIT}{table()}", HEIGHTS, {}
     ),
-    # Texts whose keys contain units, in different spellings.
+    # Texts whose header keys contain units, in different spellings.
     "units in brackets": (f"Size X [um] = 6\nSize Y (um): 3.6\n{UNIT}{table()}", HEIGHTS, {}),
     "units in words": (f"Width in mm: 0.006\nSize Y/µm 3.6\n{UNIT}{table()}", HEIGHTS, {}),
     "ranges": (f"X-Range: 6 µm\nY_Range: 3.6 µm\n{UNIT}{table()}", HEIGHTS, {}),

@@ -42,8 +42,8 @@ _CHANGE, _MOST_STEPS = 1e-9, 60
 # The minimiser ends if the gradient of χ² is at most this value. The gradient is relative to the χ² at the start, and
 # each parameter is in units of its range. The value is limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
-# Largest number of start values of the minimiser. The value is limited by the computing time, which is proportional to
-# it.
+# Largest number of starts of a fit, each with other parameters. The value is limited by the computing time, which is
+# proportional to it.
 _MOST_STARTS = 1000
 # Two minima are equally good if their χ² differs by less than the sum of two tolerances. The result is then the minimum
 # of the earlier start. The first tolerance is relative to χ². It must exceed the error of the minimiser. The second

@@ -26,8 +26,8 @@ OF_NYQUIST = 0.9
 # Before a fit, neighbouring samples are averaged over blocks, which saves time. The number is that of blocks per period
 # of the shortest harmonic of the fitted wave. With two blocks per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
-# Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: if doubled,
-# the largest fits require twice as much of both.
+# Largest number of elements of the matrix in a least-squares fit of a wave. The value is limited by time and memory: if
+# doubled, the largest fits require twice as much of both.
 _MOST_ELEMENTS = 2_000_000
 # A harmonic of a wave is significant if its amplitude is at least this value, in standard deviations of the amplitudes
 # that noise causes.
@@ -102,7 +102,7 @@ class _Means:
         pitch: Distance of the samples (dy, dx) [µm].
         blocks: Numbers of samples of a block along y and x.
         q: Frequency (y, x) of the wave at which the fit begins [1/µm].
-            orders: Numbers of the harmonics of the wave that are fitted; 1 is the fundamental.
+        orders: Numbers of the harmonics of the wave that are fitted; 1 is the fundamental.
     """
 
     y: NDArray[np.float64]

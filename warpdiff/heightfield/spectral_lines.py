@@ -408,8 +408,8 @@ def _ring_background(
 ) -> NDArray[np.float64]:
     """Estimate the mean power in each ring of the frequency plane from a quantile of powers.
 
-    The quantile for a ring is over this ring and ``reach`` rings on both sides. Rings without any Fourier coefficient
-    get interpolated values.
+    The quantile for a ring is that of the powers in this ring and in ``reach`` rings on both sides. Rings without any
+    Fourier coefficient get interpolated values.
     """
     order = np.argsort(ring, kind="stable")
     power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))

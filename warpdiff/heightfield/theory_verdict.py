@@ -55,7 +55,7 @@ QUALITATIVE = 0.1
 # power. If halved, shallow patterns with features of two wavelengths are graded invalid.
 INVALID = 0.9
 # Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. They were
-# fitted to rigorous solutions for two thirds of the periods and depths; the other third tests the factors
+# fitted to rigorous solutions for gratings with two thirds of the periods and depths; the others test the factors
 # (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
 # Ratio of the estimated error to the fraction of undersampled steps, whose height changes the phase too much for the

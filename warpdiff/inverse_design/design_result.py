@@ -225,9 +225,9 @@ class Design:
 
         Returns:
             Table with a row for the unchanged design and a row per change: kind and amount of the change, the largest
-                ΔE2000 of a colour at the exposure of the design if there are colours, and the largest deviation of an
-                order's efficiency if there are orders. This deviation is relative to the mean of equal orders, or a
-                difference of efficiencies.
+            ΔE2000 of a colour at the exposure of the design if there are colours, and the largest deviation of an
+            order's efficiency if there are orders. This deviation is relative to the mean of equal orders, or a
+            difference of efficiencies.
 
         Raises:
             ValueError: A number is out of its range, or a direction leaves the upper hemisphere.

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.text_table import Form
 
-# Words in the headings of columns in a text file, by the axis that they mean. Numbers of rows and lines are counted
-# along y, numbers of columns and pixels of a line along x.
+# Words in the headings of columns in a text file, by the axis that they mean. Rows and lines are counted along y,
+# columns and pixels of a line along x.
 _AXES = {
     **dict.fromkeys(("x", "ix", "xi"), "x"), **dict.fromkeys(("y", "iy", "yi"), "y"), "z": "z",
     **dict.fromkeys(("row", "rows", "line", "zeile", "ligne", "riga", "fila", "linha", "行"), "row"),
@@ -33,7 +33,7 @@ class Columns:
     Attributes:
         positions: Indices of the columns of x, y and z.
         units: Sizes of the units of x, y and z [µm]; None for a column without a unit.
-            counts_rows: Whether y is a number of rows, which is counted from the top of the picture.
+        counts_rows: Whether y is the index of a row, which is counted from the top of the picture.
         names_z: Whether a heading names the column of heights. Otherwise the heights are the only column that is not x
             or y.
     """

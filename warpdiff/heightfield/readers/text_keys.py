@@ -165,7 +165,7 @@ def unit_in_key(key: str) -> tuple[float | None, bool]:
 
 
 def states_unit_z(words: str, *, is_plain: bool) -> bool:
-    """Whether a key states the unit of the heights. Keys such as "z" do so if their value has no number (is plain)."""
+    """Whether a key states the unit of heights. Keys such as "z" do so only if the value has no number (is plain)."""
     return words in _UNITS_Z or (is_plain and words in _WEAK_UNITS_Z)
 
 

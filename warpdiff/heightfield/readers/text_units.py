@@ -40,7 +40,7 @@ _COUNT_IS = re.compile(
 
 
 def add_unit(facts: Facts, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the unit of heights, the unit of lengths along x and y, or the factor of heights in a line."""
+    """Add to ``facts`` the unit of heights, the unit of x and y, or the factor of heights that a header line states."""
     if match := _CONVERSION.search(line) or _COUNT_IS.fullmatch(line):
         _add_unit_z(facts, line, match["unit"], match["number"], signs)
         return

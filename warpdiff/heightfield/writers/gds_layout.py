@@ -37,8 +37,8 @@ _TIME = datetime.datetime(2000, 1, 1)
 # To compare positions, they are rounded to this number of steps per µm, that is to 0.1 nm. The resolution of the files
 # is 1 nm, so that this removes errors of the arithmetic and no real difference.
 _PER_UM = 10_000
-# Largest coordinate of a file that is measured [µm]. The value is limited by the 64-bit integers of the measurement,
-# which count steps of 0.1 nm.
+# Largest coordinate in a GDS layout whose widths are measured [µm]. The value is limited by the 64-bit integers of the
+# measurement, which count steps of 0.1 nm.
 _MOST_UM = 1e14
 
 
@@ -99,9 +99,8 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
 
     Returns:
         Table with a row per layer and datatype: both numbers, the number of polygons, the largest number of vertices of
-            a polygon, the covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the
-            number of corners at which two features touch. A width is NaN if no feature or gap has an end along this
-            axis.
+        a polygon, the covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the number
+        of corners at which two features touch. A width is NaN if no feature or gap has an end along this axis.
 
     Raises:
         FileNotFoundError: The file does not exist.
