@@ -31,7 +31,7 @@ def replaced(name, data, number=0, kind=None):
 
 
 def without(name, number=0):
-    """Return the bytes of the GDS layout without one record."""
+    """Return the bytes of the GDS layout without the record ``number`` (from 0) of those with the name ``name``."""
     index = index_of(name, number)
     return gds_content(LAYOUT[:index] + LAYOUT[index + 1 :])
 

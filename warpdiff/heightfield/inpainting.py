@@ -29,8 +29,8 @@ _DAMPING = 2.0 / 3.0
 # The multigrid method, which fills gaps, corrects the heights on a grid by a solution on the next coarser grid. This
 # number of Jacobi iterations smooths the errors before each correction, and again after it.
 _SWEEPS = 2
-# Number of missing heights up to which the multigrid method makes no coarser grid. The equations of this coarsest grid
-# are solved by an inverse matrix.
+# A grid of the multigrid method with at most this number of unknown heights has no coarser grid. Its equations are
+# solved by an inverse matrix.
 _FEW = 400
 # Coarser grids of the multigrid method. `_COARSER` is the number of samples that one sample of the next coarser grid
 # represents along an axis. If the ratio of the pitches along both axes is above `_MOST_ANISOTROPY`, only the axis with

@@ -43,9 +43,9 @@ _LEAST_BLOCKS = 4
 # neighbouring samples are averaged for this estimate. The value is limited by time: the Fourier transform of twice as
 # many samples along both axes takes 0.2 s.
 _COARSE = 1024
-# Margin of the largest lag at which the autocorrelation is computed. It is relative to the extent of the region of lags
-# where the autocorrelation exceeds `autocorrelation.THRESHOLD`. The margin is necessary because the extent is an
-# estimate. If doubled, the Fourier transforms of the autocorrelation take longer.
+# The region of lags in which the autocorrelation exceeds `autocorrelation.THRESHOLD` is estimated first. The
+# autocorrelation is then computed at lags up to this factor times the extent of the region. A factor above 1 is
+# necessary because the extent is an estimate. If doubled, the Fourier transforms of the autocorrelation take longer.
 _MARGIN = 1.3
 # A field with grooves is divided into blocks for the standard errors. The number is the largest angle between the
 # grooves and an axis [degrees] at which the blocks are stripes along this axis. Stripes are necessary because parts of

@@ -158,7 +158,7 @@ _REASONS: dict[Reason, str] = {
 
 
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
-    """Return the wavelength of a verdict [nm]: 550 nm, or the nearest one between the shortest and the longest."""
+    """Return the wavelength of a verdict [nm]: the one nearest to 550 nm between the shortest and the longest one."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
 
 

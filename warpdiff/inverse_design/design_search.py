@@ -318,7 +318,7 @@ class _Search:
         return free._replace(x=np.minimum(free.x % cycle, top))
 
     def refined(self, candidate: _Candidate) -> _Candidate:
-        """Continue the minimisation of a start, without levels; normalise efficiencies if a target requests it."""
+        """Continue the minimisation of the loss from a start, without levels; normalise efficiencies if requested."""
         blocks = self._blocks
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS
