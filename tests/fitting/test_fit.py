@@ -57,7 +57,7 @@ def test_jacobians_of_predictions_are_transposes(rng):
 def test_standard_errors_cover_the_true_parameters(count, rng):
     """The interval of two standard errors must contain the true parameter in about 95.4 % of the cases.
 
-    A fit with one start may end at 1 minus the duty cycle, which is also accepted.
+    A fit with one start may find 1 minus the true duty cycle, which has equal efficiencies and is accepted.
     """
     within, chi2 = [], []
     for _ in range(count):
@@ -65,8 +65,9 @@ def test_standard_errors_cover_the_true_parameters(count, rng):
         off = np.minimum(*(np.abs(result.values - other) for other in (TRUE, profile().equivalents(TRUE)[0])))
         within += (off <= 2.0 * result.standard_errors).tolist()
         chi2.append(result.chi2 / result.degrees_of_freedom)
-    # The fraction of values within two standard errors is compared with two limits. For few fits, the limits are those
-    # of a binomial distribution at 99.9 %. For many fits, they are the targets of the project, around 95 %.
+    # The fraction of parameters within two standard errors of the truth is compared with two limits. For few fits, the
+    # limits are those of a binomial distribution at 99.9 %. For many fits, they are the targets of the project, around
+    # 95 %.
     least, most = (0.93, 0.98) if count > 100 else (0.75, 1.0)
     assert least <= np.mean(within) <= most
     assert (0.95 if count > 100 else 0.6) <= np.mean(chi2) <= (1.05 if count > 100 else 1.5)
@@ -76,7 +77,8 @@ def test_standard_errors_cover_the_true_parameters(count, rng):
 def test_fits_with_eight_starts_list_both_duty_cycles(seed):
     """A fit must list the true duty cycle, and 1 minus it, because both have equal efficiencies.
 
-    Intermediate parameters may have an order at the horizon. The fit must suppress the warning about it.
+    For some parameters that the fit tries, a diffraction order is at the horizon. The fit must suppress the warning
+    about it.
     """
     result = wd.fit(profile(), noisy(np.random.default_rng([52, seed])), sd=SD, seed=seed)
     duties = sorted(minimum.values[1] for minimum in result.minima)
@@ -86,9 +88,9 @@ def test_fits_with_eight_starts_list_both_duty_cycles(seed):
 
 
 def test_fits_need_few_evaluations(rng):
-    """A fit must need at most 17 evaluations.
+    """A fit must need at most 17 evaluations of the model.
 
-    With finite differences, least squares need 35 evaluations for such data. The method of Nelder and Mead needs
+    With finite differences, a least-squares fit needs 35 evaluations for such data. The method of Nelder and Mead needs
     hundreds.
     """
     result = wd.fit(profile(*(TRUE * [1.1, 0.95, 1.2, 1.0])), noisy(rng), sd=SD, starts=1)

@@ -40,7 +40,7 @@ def test_each_minimum_says_whether_it_has_converged(monkeypatch):
 
 
 def fit_with_warnings(guess, data, sd):
-    """Return a fit with one start, and the texts of its warnings."""
+    """Return a fit with one start, and the texts of the warnings that it issued."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = wd.fit(guess, data, sd=sd, starts=1)
@@ -61,7 +61,7 @@ def test_the_best_values_do_not_depend_on_the_size_of_sd(sd):
 
 @pytest.mark.parametrize("sd", [1e-4, 1e3])
 def test_the_best_start_does_not_depend_on_the_size_of_sd(sd):
-    """For a large ``sd``, all χ² are tiny. If small differences did not count, the first start would be the best."""
+    """If the standard deviation ``sd`` is large, all χ² are tiny. The fit must still choose the smallest χ²."""
     far = profile(*(TRUE * [2.2, 1.0, 1.0, 1.0]))
     one, _ = fit_with_warnings(far, measured(NOISY), sd)
     with warnings.catch_warnings():
@@ -125,7 +125,7 @@ def test_fewer_values_than_parameters_give_a_warning():
 
 
 def test_a_change_of_all_pixels_is_not_determined():
-    """If all pixels change by the same height, no colour changes. All standard errors must therefore be NaN.
+    """If all pixels change by the same height, no colour changes. The standard errors of all heights must be NaN.
 
     Truncation errors of colours can make this change seem to be determined, with standard errors of a millimetre.
     """

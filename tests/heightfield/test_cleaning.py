@@ -77,9 +77,9 @@ def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
 
 
 def cross(heights: np.ndarray) -> float:
-    """Return the spectral power on the two frequency axes, divided by that on lines near them.
+    """Return the spectral power on both axes of the frequency plane, divided by that on nearby lines parallel to them.
 
-    The four lowest frequencies of either sign are excluded.
+    The zero frequency, and the four lowest positive and negative frequencies along an axis, are excluded.
     """
     power = np.abs(np.fft.fft2(heights - heights.mean())) ** 2
     ny, nx = power.shape

@@ -32,7 +32,7 @@ def test_the_mean_slope_does_not_depend_on_the_samples():
 
 
 def test_a_summary_lists_a_wavering_period(rng):
-    """The summary must list the period of ridges that waver, with a standard error of more than 1 % of the period."""
+    """The summary must list the period of ridges with a varying spacing; its standard error must exceed 1 %."""
     drift = np.cumsum(rng.normal(0.0, 0.025, 800))
     ridges = 0.1 * np.cos(2.0 * np.pi * (np.arange(800) * 0.05 + drift - drift.mean())) + np.zeros((40, 1))
     field = wd.HeightField(ridges + rng.normal(0.0, 0.01, ridges.shape), 0.05)

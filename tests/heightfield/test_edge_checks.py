@@ -17,7 +17,7 @@ WIDE, NARROW = wd.Coherence(), wd.Coherence(sigma_um=0.3)
 
 
 def tilted(amount: float) -> wd.HeightField:
-    """Return a rough patch plus a tilted plane with ``amount`` times the standard deviation of its heights."""
+    """Return a rough patch plus a tilted plane, whose standard deviation is ``amount`` times that of the patch."""
     return wd.HeightField(PATCH.heights_um + amount * PATCH.rms_um * U / np.std(U), PATCH.pitch_um)
 
 

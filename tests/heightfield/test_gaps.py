@@ -75,8 +75,8 @@ def test_the_error_of_a_filled_gap_is_within_the_documented_bound() -> None:
 
 
 def test_filling_solves_laplaces_equation_up_to_the_edges() -> None:
-    # Half of the field and some single samples are missing. Each missing sample becomes the mean of its four
-    # neighbours, weighted by 1/pitch².
+    # Half of the field and some single samples are missing. In the filled field, each missing sample must be the mean
+    # of its four neighbours, weighted by 1/pitch².
     gap = (Y > 3.0) | (np.random.default_rng(5).random(SHAPE) < 0.1)
     field = gappy(waves(), gap)
     filled = field.filled().heights_um

@@ -11,19 +11,19 @@ from bench.dev.fuzz_targets import CORPUS
 from warpdiff.core import memory
 from warpdiff.heightfield.writers import gds_records as checked
 
-# Records of a valid layout, as pairs of a type and data. The tests damage copies of this list.
+# Records of a valid GDS layout, as pairs of the record's type and data. The tests damage copies of this list.
 LAYOUT = gds_records((CORPUS / "gds" / "cells.gds").read_bytes())
-# Type of each kind of record, by the name of the kind: two bytes.
+# Two bytes that state the type of a GDS record, by the name of the record's kind.
 TYPES = {name: bytes([code, kind]) for code, name, kind, _ in checked._TABLE}
 
 
 def index_of(name, number=0):
-    """Return the index in ``LAYOUT`` of the record ``number`` (from 0) among the records with a name."""
+    """Return the index in ``LAYOUT`` of the record ``number`` (from 0) among the records with the name ``name``."""
     return [k for k, (kind, _) in enumerate(LAYOUT) if kind == TYPES[name]][number]
 
 
 def replaced(name, data, number=0, kind=None):
-    """Return the bytes of the layout with other data, and optionally another type, in one record."""
+    """Return the bytes of the GDS layout with other data, and optionally another type, in one record."""
     records = LAYOUT.copy()
     index = index_of(name, number)
     records[index] = (kind or records[index][0], data)
@@ -31,13 +31,13 @@ def replaced(name, data, number=0, kind=None):
 
 
 def without(name, number=0):
-    """Return the bytes of the layout without one record."""
+    """Return the bytes of the GDS layout without the record ``number`` (from 0) of those with the name ``name``."""
     index = index_of(name, number)
     return gds_content(LAYOUT[:index] + LAYOUT[index + 1 :])
 
 
 def inserted(before, *records):
-    """Return the bytes of the layout with further records before the first record of a name."""
+    """Return the bytes of the GDS layout with further records before its first record with the name ``before``."""
     index = index_of(before)
     return gds_content([*LAYOUT[:index], *((TYPES[name], data) for name, data in records), *LAYOUT[index:]])
 
@@ -87,7 +87,7 @@ def test_damaged_layouts_are_refused_with_their_record(case, tmp_path):
 
 
 def test_deep_references_are_refused(tmp_path):
-    """A layout of 301 cells, of which each one refers to the next one, must be refused."""
+    """A layout of 301 cells, each of which contains the next one, must be refused because of its deep nesting."""
     begin, end = LAYOUT[: index_of("BGNSTR")], [(TYPES["ENDLIB"], b"")]
     stamp = LAYOUT[index_of("BGNSTR")]
     cells = []
@@ -108,7 +108,7 @@ def test_layouts_that_exceed_memory_are_refused(monkeypatch):
 
 
 def test_layouts_of_other_programs_are_read(tmp_path):
-    """A polygon may have several records of points, and zeros may follow the last record."""
+    """A layout must be read even if a polygon has several records of points, or if zeros follow the last record."""
     index = index_of("XY")
     points = LAYOUT[index][1]
     parts = [(TYPES["XY"], points[:16]), (TYPES["XY"], points[16:])]

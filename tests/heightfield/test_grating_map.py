@@ -35,8 +35,8 @@ def test_transforms_are_relative_to_the_largest_scales() -> None:
     reference = grating_map.reference
     assert reference.height_range_um == pytest.approx(2.0 * CELL.height_range_um)
     assert reference.pitch_um == pytest.approx((1.5 * CELL.pitch_um[0], 1.5 * CELL.pitch_um[1]))
-    # All dots share one table of colours, which is made for the largest pitch scale, 1.5. In the dot with the pitch
-    # scale 0.75, a source of 1° has the effect of a source of half this diameter on the table's surface.
+    # All dots share one table of colours, which is made for the largest pitch scale, 1.5. A source of 1° blurs the
+    # diffraction of the dot with the pitch scale 0.75 like a source of 0.5° at the pitch scale 1.5.
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     assert grating_map.table_coherence(source).angular_diameter_deg == pytest.approx(0.5)
     assert grating_map.table_coherence(wd.Coherence()) == wd.Coherence()
@@ -97,7 +97,7 @@ BAD_IMAGES = {
 
 @pytest.mark.parametrize("name", BAD_IMAGES)
 def test_images_have_remedies_for_maps(name: str, tmp_path: Path) -> None:
-    """Errors about images of maps must not advise to give files of heights, which maps do not accept."""
+    """Error messages about images must not advise files of heights, which grating maps do not accept."""
     content, message = BAD_IMAGES[name]
     path = tmp_path / name
     if content is None:

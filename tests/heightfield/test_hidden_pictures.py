@@ -1,4 +1,4 @@
-"""Hidden pictures: each eye sees its own picture, and dots have the luminances that were asked for.
+"""Hidden pictures: each eye must see its own picture, and dots must have the requested luminances.
 
 Dots are small rectangles of a card. Each dot has a grating that diffracts light towards one of two eyes.
 """

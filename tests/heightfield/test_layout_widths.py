@@ -1,4 +1,4 @@
-"""Measures of GDS layouts: both methods agree, layouts of any size are fast, and references are checked."""
+"""Widths in GDS layouts: two methods agree, large layouts are fast, and references between cells are checked."""
 
 import time
 
@@ -12,7 +12,7 @@ gdstk = pytest.importorskip("gdstk", reason="gdstk is not installed")
 
 
 def saved(path, *polygons, references=(), others=()):
-    """Write a layout with the top cell TOP, and return its path."""
+    """Write a GDS layout of polygons, whose top cell is named TOP, and return the path of the file."""
     library = gdstk.Library()
     top = library.new_cell("TOP")
     top.add(*polygons, *references)
@@ -31,7 +31,7 @@ def random_polygon(rng):
 
 
 def reference(polygons):
-    """Return area, widths and corners of a layout from its samples of 1 µm."""
+    """Return covered area, least widths and number of touching corners of polygons, from a grid of 1 µm squares."""
     corners = np.concatenate([polygon.points for polygon in polygons])
     origin, shape = corners.min(axis=0), np.ptp(corners, axis=0).astype(int)
     y, x = (np.arange(n) + 0.5 + low for n, low in zip(shape[::-1], origin[::-1], strict=True))
@@ -78,8 +78,8 @@ def test_large_layouts_are_fast(tmp_path):
     squares = [gdstk.rectangle(tuple(corner), tuple(corner + 4.0)) for corner in corners]
     begin = time.process_time()
     table = wd.measure_layout(saved(tmp_path / "squares.gds", *squares))
-    # A method with a grid line at each corner coordinate would need 16 million grid cells and 60 s. The tested method
-    # must be faster.
+    # A method with a grid line at each coordinate of a corner would need 16 million grid cells and 60 s. The tested
+    # method must be faster.
     assert time.process_time() - begin < 10.0
     assert table["polygons"][0] == 2000
     assert table["least_width_x_um"][0] == pytest.approx(4.0)

@@ -15,7 +15,7 @@ Y, X = np.meshgrid(np.arange(200) * PITCH, np.arange(200) * PITCH, indexing="ij"
 
 
 def grooves(period, *, degrees=0.0, height=0.572, noise=0.01, tilt=0.02, seed=0):
-    """Return parallel grooves with rounded walls, noise and a tilt."""
+    """Return a height field of parallel grooves with rounded walls, noise and a tilt."""
     along = X * math.cos(math.radians(degrees)) + Y * math.sin(math.radians(degrees))
     heights = 0.5 * height * np.tanh(4.0 * np.sin(2.0 * np.pi * along / period + 1.2)) + tilt * (X - 0.5 * Y)
     return wd.HeightField(heights + noise * np.random.default_rng(seed).normal(size=X.shape), PITCH)
@@ -125,7 +125,7 @@ def test_nothing_depends_on_the_unit():
 
 
 def test_standard_errors_include_the_variation_of_the_period():
-    """At least 85 % of the periods must have errors of at most two standard errors.
+    """At least 85 % of the measured periods must differ from the true period by at most two standard errors.
 
     The fields are like those of bench/reproduce/periods.py, but have other random seeds.
     """

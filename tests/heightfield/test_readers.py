@@ -179,9 +179,7 @@ def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
 
 
 def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch):
-    """A file must be refused by a clear error even if the image reader's error message quotes invalid bytes of the
-    file.
-    """
+    """A file must be refused by a clear error even if the image reader's message quotes invalid bytes of the file."""
 
     def said():
         return b"\xff".decode()

@@ -32,8 +32,8 @@ def length_of_sine(period_um=2.0, size_um=10.0):
 
 @pytest.mark.parametrize(("along", "shape", "lay"), [("x", (120, 1000), 90.0), ("y", (1000, 120), 0.0)])
 def test_a_sine_has_its_closed_forms(along, shape, lay):
-    # The field has 5 whole periods of a sine. A plane fitted to them would be tilted. With order 0, only the mean
-    # height is subtracted.
+    # The field has 5 whole periods of a sine. A plane fitted to them would be tilted. Therefore ``order=0`` subtracts
+    # only the mean height.
     roughness = sine(shape, along=along).roughness(order=0)
     assert roughness["Sa"].value == pytest.approx(0.2 / math.pi, rel=1e-4)
     assert roughness["Sq"].value == pytest.approx(0.1 / math.sqrt(2.0), rel=1e-6)

@@ -18,7 +18,7 @@ SURFACES = {
     "fingers": (SCAN.heights_um, 0.05), "lamellar": (np.where(np.arange(200) % 40 < 20, 0.15, 0.0)[None], 0.05),
     "smooth": (0.05 * np.sin(X)[:, None] * np.cos(1.3 * X), 0.1), "deep": (2.0 * np.sin(0.4 * X)[None], 0.05),
 }  # fmt: skip
-# Factors by which heights and pitch are multiplied, and the words of the warning that must follow.
+# Factors by which heights and pitch are multiplied (wrong units), and the words of the warning that must follow.
 UNITS = {
     "heights in nm": (1e3, 1.0, "are heights in nanometres? Multiply them by 0.001"),
     "heights in m": (1e-6, 1.0, "are heights in metres? Multiply them by 1e+06"),

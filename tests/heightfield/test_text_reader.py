@@ -1,6 +1,6 @@
-"""Texts of heights, as programs of instruments export them.
+"""Text files of heights, as programs of instruments export them.
 
-They are read with their units, or refused with an error that names the file.
+They must be read with their units, or refused with an error that names the file.
 """
 
 import gzip
@@ -54,7 +54,7 @@ class Export:
         heights: Expected heights [µm], with row 0 at the top of the picture.
         pitch: Expected sample spacing (dy, dx) [µm].
         rows: Expected direction of the rows in the loaded field.
-        options: Arguments of ``HeightField.load``, for what the text does not state.
+        options: Arguments of ``HeightField.load`` that state the facts missing in the text.
         encoding: Encoding of the file.
         suffix: Suffix of the file's name.
     """
@@ -71,7 +71,7 @@ class Export:
 STATED: dict[str, Any] = {"options": {"unit": "nm", "pitch_um": (0.5, 0.25)}, "rows": "down"}
 NM = GWYDDION.format(x="1 µm", y="1.5 µm", z="nm")
 EXPORTS = {
-    # Texts of certain programs for instruments.
+    # Text files as certain programs of instruments write them.
     "Gwyddion": Export(NM + table(GRID, "\t")),
     "Gwyddion in German, Latin-1": Export(
         "# Kanal: Höhe\n# Breite: 1 µm\n# Höhe: 1,5 µm\n# Value units: nm\n" + table(GRID, "\t", ","),
@@ -149,7 +149,7 @@ EXPORTS = {
     "No Data in a matrix": Export(NM + table(GAP, "\t", gap="No Data"), heights=1e-3 * GAP),
     "infinity": Export(NM + table(GAP, gap="inf"), heights=1e-3 * GAP),
     "spreadsheet errors": Export(NM + table(GAP, ",", gap="#N/A"), heights=1e-3 * GAP),
-    # Matrices with labels: numbers of rows or columns, or positions, which are no heights.
+    # Matrices with labels in the first row or column: indices of rows or columns, or positions, which are no heights.
     "numbers of rows": Export(
         ";a;b;c;d\n"
         + "".join(f"{k};{line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID]), ";").splitlines())),

@@ -58,7 +58,7 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
         for j, depth in enumerate(stored["depths"]):
             for angle in stored["angles_deg"]:
                 first, *efficiencies = next(rows)
-                # To save time, only every third period, two depths and oblique incidence are tested.
+                # To save time, only every third grating period, two groove depths and oblique incidence are tested.
                 if i % 3 or j not in (2, 5) or angle == 0.0:
                     continue
                 heightfield = make(period, depth)

@@ -39,7 +39,8 @@ def points(form: str = "{x:.1f}\t{y:.1f}\t{z}", noise: float = 0.0) -> str:
 
 
 EMPTY_FIRST = np.hstack([np.full((9, 1), np.nan), HEIGHTS])
-# Texts that are read: the text, the expected heights in µm from the top of the picture, and the options of ``load``.
+# Text files that are read: the text, the expected heights in µm from the top of the picture, and the options of
+# ``load``.
 READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     # Texts with thousands separators and decimal signs in numbers.
     "thousands and decimals in a size": (f"X Size: 6,000.0 nm\nY Size: 3,600.0 nm\n{UNIT}{table()}", HEIGHTS, {}),
@@ -82,7 +83,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "numbers of samples in brackets": (
         f"Width: 6 µm (12 px)\nHeight: 0.0036 mm (3.6 µm) ± 0.1 µm\n{UNIT}{table()}", HEIGHTS, {}
     ),
-    # Texts whose keys contain units, in different spellings.
+    # Texts whose header keys contain units, in different spellings.
     "units in brackets": (f"Size X [um] = 6\nSize Y (um): 3.6\n{UNIT}{table()}", HEIGHTS, {}),
     "units in words": (f"Width in mm: 0.006\nSize Y/µm 3.6\n{UNIT}{table()}", HEIGHTS, {}),
     "ranges": (f"X-Range: 6 µm\nY_Range: 3.6 µm\n{UNIT}{table()}", HEIGHTS, {}),
@@ -165,7 +166,7 @@ def test_headers_of_gwyddion_are_read_in_all_its_languages(tmp_path: Path, words
 
 
 ASK_PITCH, ASK_UNIT = "exactly one of extent_um .* neither .*", "unit must be given: .*"
-# Texts that are refused, or for which the caller must state a size or unit: the text, the message and the options.
+# Texts that are refused, or for which the caller must state a size or unit: the text, the error and the options.
 UNCLEAR: dict[str, tuple[str, str, dict[str, Any]]] = {
     "a comma in a size": (f"Width: 6,000 nm\nHeight: 3,600 nm\n{UNIT}{table()}", ASK_PITCH + "'Width: 6,000 nm'", {}),
     "a point in a size": (

@@ -16,7 +16,7 @@ TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 def header(**texts: Any) -> str:
-    """Return the XML header of a surface of 5 × 3 samples. ``texts`` replaces some of its entries."""
+    """Return the XML header of a surface of 5 × 3 samples. ``texts`` replaces the texts of some of its elements."""
     known = {
         "kind": "SUR", "type": "D", "x": "2.5e-7", "y": "5e-7", "axis": "I", "z": "", "nx": 5, "ny": 3, "nz": "1",
         "data": "<DataLink><PointDataLink>bindata/data.bin</PointDataLink></DataLink>", "before": "", "p": "p:",
@@ -139,7 +139,8 @@ def test_members_that_expand_without_limit_are_not_expanded(tmp_path: Path, monk
     path = write(tmp_path / "a.x3p", header() + 20_000 * " ")
     with pytest.raises(ValueError, match=r"main\.xml is larger than 10000 bytes"):
         HeightField.load(path)
-    # The member with the heights is 10 MB too long. Only the bytes of the samples that the header states are read.
+    # The file of heights inside the archive is 10 MB too long. Only the bytes of the samples that the header states are
+    # read.
     scan = HeightField.load(write(tmp_path / "b.x3p", header(), HEIGHTS_M.tobytes() + bytes(10_000_000)))
     np.testing.assert_allclose(scan.heights_um[::-1], 1e6 * HEIGHTS_M)
     with pytest.raises(MemoryError, match=r"^path: .*c\.x3p' of 2000000000 × 2000000000 samples requires"):

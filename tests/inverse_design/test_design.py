@@ -1,4 +1,4 @@
-"""Designs: losses and exchanges against independent sums, limits of manufacture, seeds and refusals."""
+"""Designs of surfaces: losses and exchanges of pixels against independent sums, limits of manufacture, and errors."""
 
 import math
 from unittest import mock
@@ -125,7 +125,8 @@ def test_splitter_meets_its_limits_and_repeats():
     assert 0.15 <= result.levels_um[-1] <= 0.3
     np.testing.assert_allclose(np.diff(result.levels_um), result.levels_um[-1] / 3)
     assert set(np.round(result.heightfield.heights_um.ravel(), 9)) <= set(np.round(result.levels_um, 9))
-    # Each feature must be at least 0.8 µm wide, which is 4 samples. ``row`` begins at an edge of a feature.
+    # Each ridge or groove must be at least 0.8 µm wide, which is 4 samples. ``row`` begins at a step between two
+    # levels.
     row = result.heightfield.heights_um[0]
     row = np.roll(row, -int(np.flatnonzero(np.diff(row))[0]) - 1)
     assert np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True)))).min() >= 4
@@ -193,7 +194,7 @@ def test_default_widths_of_edges_are_those_that_the_period_permits():
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=400.0), wd.Coherence("source", angular_diameter_deg=0.02)])
 def test_rigorous_colours_sample_the_narrow_peaks_of_a_long_coherence(coherence):
-    """Colours must equal sums over so many wavelengths that no peak lies between them."""
+    """Rigorous colours must equal sums over so many wavelengths that no peak of the spectrum lies between them."""
     target = wd.Target.colour(GREEN, UP, wd.direction(17.0), coherence=coherence, **MIRROR)
     nodes, orders = np.linspace(380.0, 780.0, 5), np.arange(-5, 6)
     arguments = target, (1.0, 2.0), nodes, orders, np.full((5, 11), 0.1)
@@ -279,7 +280,7 @@ def test_refused_targets(make, error, message):
 
 
 def test_coefficients_beyond_the_pixels_repeat_with_samples():
-    """Fourier coefficients of pixels must equal explicit Fourier sums over the samples of a random height field."""
+    """Fourier coefficients of a pixelated surface must equal explicit Fourier sums over the samples of its heights."""
     profile = wd.profiles.Pixels(0.3, np.zeros((4, 6)), samples=2)
     levels, depth = heights((4, 6))
     surface = profile.surface((depth * levels / 3).ravel())
@@ -309,7 +310,7 @@ def test_fourier_starts_have_the_orders_of_the_target():
 
 
 def test_levels_wrap_only_at_a_cycle_of_the_phase(monkeypatch):
-    """A height above the highest level may only become the lowest level if both have the same phase of light.
+    """A height above the highest level may only become the lowest level if both reflect light with the same phase.
 
     The levels of this test are too shallow for this. If heights became the lowest level, the design would be flat.
     """

@@ -31,7 +31,7 @@ def test_pushforward_is_the_derivative_and_pullback_its_transpose(name, rng):
     assert set(changes) == set(profile.wrt) == set(base)
     adjoints = {key: rng.normal(size=np.shape(change)) for key, change in changes.items()}
     for key, change in changes.items():
-        # Surfaces are linear functions of the parameters, so that differences are exact up to rounding.
+        # Surfaces are linear functions of the parameters, so that finite differences are exact up to rounding.
         np.testing.assert_allclose(moved[key] - base[key], change, atol=1e-14)
     forward = sum(np.sum(adjoints[key] * changes[key]) for key in changes)
     assert forward == pytest.approx(profile.pullback(x, adjoints) @ dx, rel=1e-12)
@@ -50,7 +50,8 @@ def test_trapezoids_have_their_duty_and_walls_exactly():
     profile = wd.profiles.Trapezoid(0.2, 0.3, 0.04, 2.5)
     outline = profile.surface([0.2, 0.3, 0.04, 2.5])
     np.testing.assert_allclose(np.diff(outline.positions), [0.04, 0.26, 0.04], atol=1e-15)
-    # The middle of a wall has half of the height, so that the mean height must be duty times depth.
+    # At the middle of each sloped wall, the ridge has half of its height. Its mean height is therefore duty cycle times
+    # depth.
     assert outline.height_field(20_000).heights_um.mean() == pytest.approx(0.3 * 0.2, rel=1e-4)
 
 

@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Characters that may separate the cells of a line. The reader uses the one with which most headings are known names.
+# Characters that may separate the cells of a line in a CSV file. The reader uses the character that splits the first
+# line into the most known column names.
 _SEPARATORS = ",;\t"
-# Factors from the unit in brackets in a file's heading, such as "wavelength [µm]", to the unit of this package. The end
-# of the column's name in this package is that unit, such as "nm" in "wavelength_nm". Names without a unit are ratios.
+# Factors that convert the unit in brackets in a column heading, such as "wavelength [µm]", to the unit of this package.
+# Names of columns in this package end with their unit, such as "nm" in "wavelength_nm". Names without a unit are
+# ratios.
 _UNITS = {
     "nm": {"nm": 1.0, "µm": 1e3, "μm": 1e3, "um": 1e3},
     "deg": {"deg": 1.0, "°": 1.0, "degree": 1.0, "degrees": 1.0, "rad": math.degrees(1.0)},
@@ -33,7 +35,7 @@ _HEADING = re.compile(r"(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]")
 
 
 class _Column(NamedTuple):
-    """Column of the file: its index, its name in this package, and the factor that converts its unit."""
+    """Column of a CSV file: its index, its name in this package, and the factor that converts its unit."""
 
     place: int
     name: str
@@ -88,14 +90,14 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
 
 
 def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
-    """Return the number and the cells of each line, without empty lines, comments, and the line ``sep=;`` of Excel."""
+    """Return line number and cells of each line, without empty lines, comments, and the line ``sep=;`` of Excel."""
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
     rows = ((reader.line_num, [cell.strip() for cell in row]) for row in reader)
     return [(line, row) for line, row in rows if any(row) and not row[0].lower().startswith(("#", "sep="))]
 
 
 def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
-    """Return the columns of a table whose headings are among the names ``known``."""
+    """Return the columns of a CSV file whose headings are among the names ``known``."""
     columns = []
     units = [(name, next((end for end in _UNITS if end and name.endswith(f"_{end}")), "")) for name in known]
     for place, cell in enumerate(heading):

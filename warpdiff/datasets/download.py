@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Subfolder for downloads within the folder of the disk cache. The disk cache can be trimmed or cleared without a loss
 # of downloads, because it deletes only its own files.
 _SUBFOLDER = "datasets"
-# Formats of the published files in Pillow.
+# Image formats of the published files, by their names in Pillow.
 _FORMATS = ("PNG", "TIFF")
 # Accepted image modes, by Pillow's names: grey or colour with 8 bits per channel, without or with alpha.
 _MODES = ("L", "LA", "RGB", "RGBA")
@@ -97,7 +97,7 @@ def read(dataset: Dataset, path: str | os.PathLike[str]) -> HeightField:
 
 
 def _local_file(dataset: Dataset) -> Path | None:
-    """Return the file in the folder that ``WARPDIFF_DATA`` names; None without the variable or without the file."""
+    """Return a data set's file in the folder that ``WARPDIFF_DATA`` names; None without this variable or this file."""
     variable = os.environ.get("WARPDIFF_DATA")
     if not variable:
         return None

@@ -53,8 +53,8 @@ _DATASETS = {
         size_bytes=1_608_068,
         local_name="elaphe_65um.png",
         extent_um=65.0,
-        # The file does not record the height range. The value is the one of the preprocessing that was published with
-        # the scan. If this range is wrong, computed colours are wrong, too.
+        # The image file does not record the height range of the scan. This value is that of the preprocessing that was
+        # published with the scan. If it is wrong, computed colours are wrong, too.
         height_range_um=0.375,
     )
 }

@@ -32,17 +32,18 @@ if TYPE_CHECKING:
 # Minima of χ² are listed in the result if their χ² exceeds that of the best minimum by at most this value. The value
 # was chosen because a larger difference excludes a minimum by more than two standard deviations of one parameter.
 _LISTED_CHI2 = 4.0
-# Distance of two minima, in standard errors of the parameters, below which they count as one minimum. The value must
-# exceed the error of the minimiser, which is a small fraction of a standard error.
+# Two minima of χ² count as one minimum if their distance is below this value, in standard errors of the parameters. The
+# value must exceed the error of the minimiser, which is a small fraction of a standard error.
 _SAME = 0.5
-# Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. The number of
-# steps was chosen because a start near a minimum needs fewer than 30 steps.
+# The minimiser ends if the relative changes of the parameters or of χ² in a step are below the first value, or after
+# the second value, its largest number of steps. The number of steps was chosen because a start near a minimum needs
+# fewer than 30 steps.
 _CHANGE, _MOST_STEPS = 1e-9, 60
-# Gradient of χ² that counts as 0, so that the minimiser ends. It is relative to the χ² at the start, and each parameter
-# is in units of its range. The value is limited by rounding errors of float64.
+# The minimiser ends if the gradient of χ² is at most this value. The gradient is relative to the χ² at the start, and
+# each parameter is in units of its range. The value is limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
-# Largest number of start values of the minimiser. The value is limited by the computing time, which is proportional to
-# it.
+# Largest number of starts of a fit, each with other parameters. The value is limited by the computing time, which is
+# proportional to it.
 _MOST_STARTS = 1000
 # Two minima are equally good if their χ² differs by less than the sum of two tolerances. The result is then the minimum
 # of the earlier start. The first tolerance is relative to χ². It must exceed the error of the minimiser. The second
@@ -50,14 +51,15 @@ _MOST_STARTS = 1000
 # no noise. Both are relative, so that a common factor of all standard deviations does not change the best minimum.
 _TIE, _TIE_OF_DATA = 1e-6, 1e-12
 # The data do not determine a change of the parameters that hardly changes the residuals. Such a change is a singular
-# vector of the Jacobian matrix with a singular value of at most `_LEAST_SINGULAR` times the largest one. If a component
-# of the vector exceeds `_SHARE`, the standard error of that parameter is NaN. Rounding errors limit both numbers.
+# vector of the Jacobian matrix of the residuals with a singular value of at most `_LEAST_SINGULAR` times the largest
+# one. If a component of the vector exceeds `_SHARE`, the standard error of that parameter is NaN. Both numbers are
+# limited by rounding errors.
 _LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
-# Measured power in an order that does not propagate, in standard deviations, above which a fit warns. The value was
-# chosen because noise exceeds it only once in 16,000 values.
+# A fit warns if the measured power in an order that does not propagate exceeds this value, in standard deviations of
+# the measurement. The value was chosen because noise exceeds it only once in 16,000 measured values.
 _SIGNIFICANT = 4.0
-# χ² per degree of freedom above which a report states that the model does not explain the data. The value was chosen
-# because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
+# A report states that the model does not explain the data if χ² per degree of freedom exceeds this value. The value was
+# chosen because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
 _BAD_CHI2 = 3.0
 # Least distance of a start from a bound of a parameter, relative to the range of the parameter (the difference of both
 # bounds). A best value within ten times this distance counts as being at the bound.
@@ -162,7 +164,7 @@ class Fit:
         return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Plot the residuals in standard deviations against the number of the measured value.
+        """Plot the residuals, in standard deviations, against the index of the measured value.
 
         Args:
             ax: Matplotlib axes to draw into; None makes a figure.
@@ -178,7 +180,7 @@ class Fit:
 
 
 class _Problem:
-    """Residuals of a fit and their Jacobian matrix; the results for the last parameters are stored for reuse.
+    """Residuals of a fit and their Jacobian matrix; the results for the most recent parameters are stored for reuse.
 
     Attributes:
         data_size: Sum of the squares of the data, each divided by its standard deviation.
@@ -346,7 +348,7 @@ def _best(minima: list[Minimum], data_size: float) -> Minimum:
 
 
 def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: Callable[[float], None] | None) -> Fit:
-    """Return the result of a fit: the best minimum with its covariance, and the other minima that are about as good."""
+    """Return the result of a fit: the best minimum of χ² with its covariance, and other minima nearly as good."""
     best = _best(minima, problem.data_size)
     problem.forget()
     jacobian, residuals = problem.jacobian(best.values), problem.residuals(best.values)
@@ -358,7 +360,8 @@ def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: 
     ranges = (high - low)[is_free]
     covariance[np.ix_(is_free, is_free)] = _covariance(jacobian[:, is_free] * ranges) * np.outer(ranges, ranges)
     errors = np.sqrt(np.diag(covariance))
-    # If a standard error exceeds the distance of the bounds, the data say less about the parameter than the bounds do.
+    # If a standard error exceeds the distance between both bounds of a parameter, the data say less about the parameter
+    # than the bounds do.
     beyond = errors > high - low
     covariance[beyond] = covariance[:, beyond] = errors[beyond] = np.nan
     names = np.array(profile.names)
@@ -392,7 +395,7 @@ def _covariance(jacobian: Array) -> Array:
 
 
 def _warn_of_result(best: Minimum, at_bounds: tuple[str, ...], undetermined: list[str]) -> None:
-    """Warn if the best parameters or their standard errors are not reliable, and state why."""
+    """Warn if the best parameters of a fit or their standard errors are not reliable, and state why."""
     if not best.has_converged:
         warn(
             f"the best minimum has not converged in {_MOST_STEPS} steps, χ² = {best.chi2:.3g}: increase "

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _LIGHT, _VIEW = ("light_theta_deg", "light_phi_deg"), ("view_theta_deg", "view_phi_deg")
-# Columns of CSV files by the kind of data. They are the columns of the tables that results of this package save.
+# Names of the columns of CSV files with measured data, by the kind of data. Files that the results of this package save
+# have the same names of columns.
 COLUMNS = {
     "orders": (*_LIGHT, "wavelength_nm", "m_y", "m_x", "efficiency"),
     "spectra": (*_LIGHT, *_VIEW, "wavelength_nm", "relative_reflectance"),
@@ -44,13 +45,13 @@ COLUMNS = {
 }
 
 
-# Efficiency (reflected over incident power) above which values are probably in percent. An order reflects at most the
+# Efficiencies (reflected over incident power) above this value are probably in percent. An order reflects at most the
 # incident power, so that its efficiency is at most 1. The margin of 0.5 allows for noise.
 _LARGEST_EFFICIENCY = 1.5
 
 
 class _Grid(NamedTuple):
-    """Distinct rows of an array, and for each row of that array the index of the equal distinct row."""
+    """Distinct rows of an array with a row per measured value, and the index of the distinct row of each value."""
 
     rows: Array
     which: NDArray[np.int64]
@@ -289,7 +290,7 @@ class Measured:
 
 
 def _values(values: object, name: str) -> Array:
-    """Return measured values, at least one, as an array of shape (n,)."""
+    """Return measured values as an array of shape (n,); raise an error if there is none."""
     array = validation.finite_array(values, name, ndim=1, most=validation.MOST)
     if not array.size:
         raise ArgumentValueError(f"{ref(name)} must have at least one value")
@@ -322,9 +323,10 @@ def _below_horizon(name: str, heights: Array) -> Exception:
 
 
 def _grid(rows: Array, count: int, name: str) -> _Grid:
-    """Return an array without repeated rows, and the index of the row of each measured value.
+    """Return the distinct rows of an array, and for each measured value the index of its row.
 
-    ``rows`` has one row per measured value, or one row for all values.
+    A row contains the directions or the wavelength of a measured value. ``rows`` has one row per measured value, or one
+    row for all values.
     """
     if len(rows) not in (1, count):
         raise ArgumentValueError(f"{ref(name)} must have one row, or one per value, {count}, got {len(rows)}")
@@ -345,11 +347,11 @@ def _pairs(to_light: ArrayLike, to_view: ArrayLike, count: int) -> _Grid:
 
 
 def _picked(result: Linearised, places: tuple[NDArray[np.int64], ...], exists: NDArray[np.bool_]) -> Linearised:
-    """Return selected elements of an array of values and of its derivatives, one element per measured value.
+    """Return selected elements of computed values and of their derivatives, one element per measured value.
 
     Args:
-        result: Array of values with its derivatives, as functions of ``warpdiff.adjoint`` return it.
-        places: Indices of the elements.
+        result: Array of computed values with its derivatives, as functions of ``warpdiff.adjoint`` return it.
+        places: Indices of the elements, one index per measured value along each axis of the array.
         exists: Whether each element exists. An element that does not exist, such as an evanescent order, is 0.
     """
     value, vjp, jvp = result

@@ -1,4 +1,4 @@
-"""Autocorrelation of heights with missing samples, and the distances over which the autocorrelation decays."""
+"""Autocorrelation of heights with missing samples, and the lags at which it has decayed to a fifth of its maximum."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.blocks import Block
 
-# Value of the autocorrelation, relative to its value at lag 0, below which it counts as decayed. The value is the
-# default of ISO 25178-3. If doubled, decay lengths are shorter.
+# The autocorrelation counts as decayed below this value, relative to its value at lag 0. The value is the default of
+# ISO 25178-3. If doubled, decay lengths are shorter.
 THRESHOLD = 0.2
-# Largest lag along an axis at which the autocorrelation is computed, relative to the length of the field. The value
-# is limited by the number of pairs of samples: at a lag of half of the field along both axes, a quarter of the pairs
-# remains. If doubled, a lag may have a single pair of samples.
+# Largest lag (shift of the field against itself) along an axis at which the autocorrelation is computed, relative to
+# the length of the field. The value is limited by the number of pairs of samples at this distance: at a lag of half of
+# the field along both axes, a quarter of the pairs remains. If doubled, a lag may have a single pair of samples.
 MOST_LAG = 0.5
 # Least number of pairs of samples at a lag, relative to the number of measured samples; lags with fewer pairs are
 # ignored. The value is limited by noise: averages over fewer pairs are noise. If doubled, the autocorrelation of more
@@ -35,12 +35,13 @@ _STEP = 0.5
 # is then exact to 1 %. If the numbers of azimuths are doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
 # The standard errors of decay lengths come from a jackknife: decay lengths are computed again without one block
-# (rectangular part) of the field at a time. The number is that of first azimuths over half a turn for such a
-# computation. With fewer azimuths, the refinements would miss the shortest or the longest decay length. If doubled, the
-# time doubles.
+# (rectangular part) of the field at a time. Each of these computations begins with this number of azimuths over half a
+# turn; closer azimuths follow. With fewer azimuths, the shortest or the longest decay length would be missed. If
+# doubled, the time doubles.
 AZIMUTHS_OF_PART = 60
-# Number of secant steps that find where the autocorrelation crosses the threshold on a straight line from the origin.
-# The value was chosen so that the remaining error of the crossing is far below the error of the interpolating spline.
+# Number of steps of the secant method that finds where the autocorrelation crosses the threshold on a straight line
+# from the origin. The value was chosen so that the remaining error of the crossing is far below the error of the
+# interpolating spline.
 _SECANTS = 4
 
 
@@ -163,10 +164,11 @@ def decay_of(
 
 
 def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[float, float, bool]:
-    """Refine the largest (``sign`` 1) or smallest (−1) distance of the crossings of rays near an angle.
+    """Refine the azimuth with the longest (``sign`` 1) or the shortest (−1) decay length, near an angle.
 
-    A ray is a straight line from lag 0. It crosses the threshold where the autocorrelation falls to `THRESHOLD`. Return
-    the refined distance, the angle of its ray, and whether all rays cross the threshold.
+    The decay length at an angle is the distance from lag 0, along a straight line (ray), at which the autocorrelation
+    falls to `THRESHOLD`. Return the decay length, its angle, and whether the autocorrelation falls to the threshold on
+    all rays.
     """
     best, closes = -math.inf, True
     for _ in range(_LEVELS):

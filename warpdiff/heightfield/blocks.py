@@ -24,7 +24,7 @@ def blocks_of(shape: tuple[int, int], counts: tuple[int, int]) -> list[Block]:
 
 
 def standard_error(without_one: NDArray[np.float64]) -> float:
-    """Return the standard error of a quantity by the jackknife, from estimates without one block of the field each.
+    """Return the standard error of a quantity by the jackknife, from estimates that each omit one block of the field.
 
     For few blocks, the standard error is enlarged according to Student's distribution. The interval of two standard
     errors around the estimate then contains the value of the whole surface for 95 % of the fields cut from it.

@@ -1,4 +1,4 @@
-"""Functions of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and matching of edges."""
+"""Cleaning of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and matching of edges."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def require_memory(method: str, shape: tuple[int, int]) -> None:
 def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) -> NDArray[np.float64]:
     """Return heights minus the least-squares polynomial of total degree ``order`` in x and y."""
     # The fitted functions are products of orthonormal polynomials in y and in x. If no sample is missing, these
-    # products are orthonormal too. Scalar products with the heights are then the least-squares coefficients, without a
-    # system of equations.
+    # products are orthonormal too. Their scalar products with the heights are then the least-squares coefficients,
+    # without a system of equations.
     along_y, along_x = (_polynomials(n, order) for n in heights.shape)
     with single_threaded_blas():
         coefficients = along_y.T @ np.where(missing, 0.0, heights) @ along_x
         fitted = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1])) <= order
         if missing.any():
-            # If samples are missing, the fitted functions are not orthogonal on the known samples. A small system of
-            # equations of their scalar products is therefore solved.
+            # If samples are missing, the fitted polynomials are not orthogonal on the known samples. Their scalar
+            # products then make a small system of equations, which is solved.
             squares = [(base[:, :, None] * base[:, None, :]) for base in (along_y, along_x)]
             products = np.einsum("yab,yx,xcd->acbd", squares[0], ~missing, squares[1], optimize=True)
             coefficients[fitted] = np.linalg.lstsq(products[fitted][:, fitted], coefficients[fitted], rcond=None)[0]
@@ -229,9 +229,9 @@ def resample_axis(heights: NDArray[np.float64], count: int, axis: int) -> NDArra
     result = np.zeros((*spectrum.shape[:-1], count // 2 + 1), dtype=np.complex128)
     result[..., : common // 2 + 1] = spectrum[..., : common // 2 + 1]
     if common % 2 == 0:
-        # The coefficient at the Nyquist limit of the coarser series represents both frequencies ±common/2. In the finer
-        # series, the coefficient at this frequency represents only one of them. It is therefore halved from the coarser
-        # to the finer series, and doubled in the other direction.
+        # The Fourier coefficient at the Nyquist limit of the coarser sampling represents both frequencies ±common/2. In
+        # the Fourier series of the finer sampling, the coefficient at this frequency represents only one of them. It is
+        # therefore halved from the coarser to the finer sampling, and doubled in the other direction.
         result[..., common // 2] *= 0.5 if count > old_count else 2.0
     resampled = np.fft.irfft(result, count, axis=-1) * (count / old_count)
     return np.moveaxis(resampled, -1, axis)

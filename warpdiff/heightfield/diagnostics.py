@@ -1,4 +1,4 @@
-"""Diagnostics of a height field: summary and aliasing."""
+"""Diagnostics of a height field: summary, slopes and aliasing."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 # values are conventions.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
-# Aliasing is estimated for the phase 2πκh of light that a height h reflects. The number is the largest κ [1/µm]: that
-# of the wavelength 380 nm, if the directions to light and view are along the normal.
+# Aliasing is estimated for the phase 2πκh of light that a height h reflects, where κ is |w|/λ. This is the largest κ
+# [1/µm]: it belongs to the wavelength 380 nm, with light and view along the normal.
 _KAPPA = 2.0 / 0.38
-# Largest number of samples along each axis for the spectrum from which aliasing is estimated. Of larger fields, only
-# the first samples are used.
+# Aliasing is estimated from the power spectrum of exp(2πiκh) for heights h. This is the largest number of samples along
+# each axis from which the spectrum is computed. In larger fields, only the first samples are used.
 _SAMPLES = 512
 # Aliasing is estimated from mean powers over rings of the frequency plane. A ring contains the frequencies (y, x) with
 # about the same magnitude. The number is its half width, relative to the Nyquist limit of the samples.

@@ -18,19 +18,20 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
-# field counts as tilted. The value was measured on a patch of 18 µm, in comparison with the same patch without tilt: at
-# a ratio of 0.3 colours are equal, at a ratio of 1 the scattered power is smaller by 29 %.
+# A field counts as tilted if the ratio of two standard deviations exceeds this value: that of a plane fitted to the
+# heights, and that of the remaining roughness. The value was measured on a patch of 18 µm, in comparison with the same
+# patch without tilt: at a ratio of 0.3 colours are equal, at a ratio of 1 the scattered power is smaller by 29 %.
 _MOST_TILT = 1.0
-# Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
-# field counts as an exact plane. An exact plane causes no warning, because it is a synthetic surface such as one period
-# of a blazed grating, and not a tilted specimen.
+# A field counts as an exact plane if the ratio of two standard deviations exceeds this value: that of a plane fitted to
+# the heights, and that of the remaining roughness. An exact plane causes no warning, because it is a synthetic surface
+# such as one period of a blazed grating, and not a tilted specimen.
 _EXACT = 1e6
-# Ratio of the jump between opposite edges of a field to the largest steps between neighbouring samples, above which a
-# warning about unequal edges may follow. A smaller jump may be a wall of a grating, because inner walls are as high.
+# A warning about unequal edges may follow if the ratio of two height differences exceeds this value: the jump between
+# opposite edges of a field, and the largest steps between neighbouring samples. A smaller jump may be a wall of a
+# grating, because walls inside the field are as high.
 _MOST_JUMP = 1.5
-# Least fraction of all pairs of interfering points that have an edge of the repeated field between them, at which a
-# warning about unequal edges follows. Two points of a surface interfere if both are in the coherence window.
+# A warning about unequal edges follows if at least this fraction of all pairs of interfering points have an edge of the
+# repeated field between them. Two points of a surface interfere if both are in the coherence window.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 

@@ -210,10 +210,10 @@ class HeightField(CleaningMethods):
 
         - ``.npz``: the arrays ``heights_um`` (NaN where a sample is missing), ``pitch_um`` (dy, dx) and ``history``,
           which :meth:`load` restores exactly.
-        - ``.gds``: a layout for lithography (extra ``lithography``). The layer number is that of the level, from 0 at
-          the lowest. Rectangles of each layer cover its samples; sample (j, i) covers i·dx to (i + 1)·dx along x, and
-          the same along y. A label on each layer states its height. Rectangles have four vertices and no holes.
-          Coordinates are rounded to 1 nm.
+        - ``.gds``: a layout for lithography (extra ``lithography``). Each layer contains the samples of one height
+          level; its number is that of the level, from 0 at the lowest. Rectangles of each layer cover its samples;
+          sample (j, i) covers i·dx to (i + 1)·dx along x, and the same along y. A label on each layer states its
+          height. Rectangles have four vertices and no holes. Coordinates are rounded to 1 nm.
         - ``.png``: a 16-bit grey image for grey-scale lithography; row 0 is y = 0. Samples are proportional to the
           height, from 0 at the lowest to 65535 at the highest point, or to the dose of the depth below the highest
           point. Texts in the file state pitch and height range.
@@ -282,11 +282,11 @@ class HeightField(CleaningMethods):
     def periods(self, count: int = 3) -> periods.Periods:
         """Find the strongest periods: waves of any direction that repeat at least three times, with their harmonics.
 
-        A period causes a narrow maximum (line) of the spectrum. Noise has such a line with a probability of less than
-        0.5 %. The power of the line must exceed the spectrum at lower and at higher frequencies of the same direction.
-        Stronger waviness or tilt therefore does not hide a period. Rough surfaces have no period, because their spectra
-        have no lines, whatever their autocorrelation is. A wave whose phase varies has one period, at its mean
-        frequency. Missing samples do not count.
+        A period causes a narrow maximum (line) of the power spectrum of the heights. The power of the line must exceed
+        the spectrum at lower and at higher frequencies of the same direction, so much that noise has such a line with a
+        probability of less than 0.5 %. Stronger waviness or tilt therefore does not hide a period. Rough surfaces have
+        no period, because their spectra have no lines, whatever their autocorrelation is. A wave whose phase varies has
+        one period, at its mean frequency. Missing samples do not count.
 
         The length of a period is much more precise than the resolution of the Fourier transform. Its standard error
         includes noise, steps between scan lines, and the variation of the period over the field. A field that is a

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.coherence import Coherence
 
-    # Type of the turns or scales of all dots of a map: a number or an array, the path of an image, or a tuple of the
-    # path and the values that black and white stand for.
+    # Type of the turns or scales of all dots of a map: a number or an array; or the path of a grey image; or a tuple of
+    # this path and the values for black and white.
     DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
 
 # Largest turn (rotation of a dot) [degrees] that a map accepts: a hundred full turns. Larger numbers are probably no
@@ -38,14 +38,14 @@ _MOST_TURN_DEG = 36_000.0
 # Range of the depth scales and pitch scales of a map, the factors of the cell's heights and lengths. Depth scales may
 # also be 0. A number beyond the range is probably a length instead of a factor.
 LEAST_SCALE, MOST_SCALE = 1e-3, 1000.0
-# Largest ratio of two pitch scales (factors of the cell's lengths) in a map. The value is limited by memory: the number
-# of azimuth samples of the map's table of power spectra is proportional to this ratio.
+# Largest ratio of two pitch scales (factors of the cell's lengths) in a map of gratings. The value is limited by
+# memory: the number of azimuth samples in the table of power spectra is proportional to this ratio.
 MOST_PITCH_RATIO = 4.0
 # Values of black and white in an image of turns [degrees] or of depth scales. The value 180° was chosen because a
 # symmetric grating has the same grooves after a rotation by 180°.
 _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
-# Measured peak memory while a map is made [bytes per dot]: turns and scales in float64, four numbers in float32 for
-# kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
+# Measured peak memory while a map of gratings is made [bytes per dot]: turns and scales in float64, four numbers in
+# float32 for kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
 
 
@@ -74,11 +74,11 @@ class GratingMap(ReadOnlyArrays):
     image. A ray has the grating of the dot that contains its hit. Dots have sharp edges, and the matrix is repeated
     beyond the texture coordinates 0 to 1. The edges of dots and the phase between dots do not diffract light.
 
-    Each of the three values is a number for all dots, an array with one number per dot, or a grey image. An image is
-    the path of a file, or a tuple ``(path, black, white)`` of the path and the values of black and of full white. Grey
-    levels are linear in between, without gamma. An image has unsigned integers of 8 or 16 bit, or floats from 0 to 1. A
-    path alone stands for 0° to 180° of ``turn_deg`` and for 0 to 1 of ``depth_scale``; ``pitch_scale`` requires the
-    tuple.
+    Turn, depth scale and pitch scale are each a number for all dots, an array with one number per dot, or a grey image.
+    An image is the path of a file, or a tuple ``(path, black, white)`` of the path and the values of black and of full
+    white. Values of grey levels are linear in between, without gamma. An image has unsigned integers of 8 or 16 bit, or
+    floats from 0 to 1. If only the path is given, black and white are 0° and 180° for ``turn_deg``, and 0 and 1 for
+    ``depth_scale``; ``pitch_scale`` requires the tuple.
 
     Pictures use ``Coherence("source")`` for a map, unless a coherence is stated for the surface or for the picture. If
     the pitch scale differs between dots, the coherence must be a source or an averaged window. Under an averaged
@@ -342,7 +342,7 @@ def _is_image(value: object) -> bool:
 
 
 def _from_image(value: Any, name: str) -> NDArray[np.float64]:
-    """Return turns or scales of dots from a grey image, linear between the values that black and white stand for."""
+    """Return turns or scales of dots from a grey image; they are linear between the values of black and of white."""
     ends = _BLACK_AND_WHITE.get(name)
     if isinstance(value, tuple):
         if len(value) != 3:

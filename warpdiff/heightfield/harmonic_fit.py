@@ -14,25 +14,27 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Smallest number of cycles over the field for a wave to count as a period. Slower waves may belong to the overall form
-# of the surface. The value is a convention; if doubled, periods that repeat three to five times are not reported.
+# A wave counts as a period of the surface only if the field contains at least this number of its cycles. Slower waves
+# may belong to the overall form of the surface. The value is a convention; if doubled, periods that repeat three to
+# five times are not reported.
 FEWEST_PERIODS = 3.0
 # Largest number of harmonics of a wave that are fitted, including the fundamental.
 MOST_HARMONICS = 16
-# Largest frequency of a fitted harmonic, relative to the Nyquist limit. A sine at the Nyquist limit may vanish on all
-# samples.
+# Largest frequency of a fitted harmonic, relative to the Nyquist limit of the samples. A sine at the Nyquist limit may
+# be 0 at all samples.
 OF_NYQUIST = 0.9
-# Samples that are close together are averaged over blocks before a fit, which saves time. The number is how many block
-# means there are per period of the shortest harmonic of a wave. With two means per period, harmonics would alias.
+# Before a fit, neighbouring samples are averaged over blocks, which saves time. The number is that of blocks per period
+# of the shortest harmonic of the fitted wave. With two blocks per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
-# Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: if doubled,
-# the largest fits require twice as much of both.
+# Largest number of elements of the matrix in a least-squares fit of a wave. The value is limited by time and memory: if
+# doubled, the largest fits require twice as much of both.
 _MOST_ELEMENTS = 2_000_000
-# Smallest amplitude of a significant harmonic of a wave, in standard deviations of the amplitudes that noise causes.
+# A harmonic of a wave is significant if its amplitude is at least this value, in standard deviations of the amplitudes
+# that noise causes.
 _OVER_NOISE = 4.0
 # Largest number of Gauss-Newton steps in the least-squares fit of a wave.
 _MOST_STEPS = 12
-# Change of the fitted frequency in one step [cycles over the field] below which a fit ends.
+# The fit of a wave ends if its frequency changes by less than this value in one step [cycles over the field].
 _CONVERGED = 1e-6
 
 
@@ -40,7 +42,7 @@ def fit_wave(
     heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], q: NDArray[np.float64],
 
 ) -> HarmonicFit:  # fmt: skip
-    """Fit a wave of a frequency near ``q`` [1/µm], its significant harmonics and a tilt to the known samples."""
+    """Fit a wave with a frequency near ``q`` [1/µm], its significant harmonics and a tilt to the known heights."""
     means = _Means.of(heights, known, pitch, q, MOST_HARMONICS)
     fit = means.fitted()
     residual = np.where(known, heights - fit.heights(), 0.0)
@@ -58,7 +60,7 @@ def fit_wave(
 def fit_sine(
     heights: NDArray[np.float64], known: NDArray[np.bool_], cycles: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a sine of a frequency near ``cycles`` [over the field]; return the sine's fitted frequency and its heights.
+    """Fit a sine with a frequency near ``cycles`` [over the field]; return its fitted frequency and its heights.
 
     The fitted frequency maximises the Fourier integral of the heights with a Hann window. The frequency is exact to
     0.01 cycles. `fit_wave` is more precise and takes several times as long.
@@ -78,7 +80,8 @@ def fit_sine(
         row, column = np.unravel_index(int(np.argmax(power)), power.shape)
         best = best + np.array([steps[0][row], steps[1][column]])
     along_y, along_x = (np.exp(2j * np.pi * c * place) for c, place in zip(best, places, strict=True))
-    # Least-squares amplitudes of the cosine and the sine at the fitted frequency, over the known samples.
+    # Amplitudes of the cosine and the sine at the fitted frequency, by least squares over the samples with known
+    # heights.
     weight = known.astype(np.float64)
     twice = np.conj(along_y) ** 2 @ weight @ np.conj(along_x) ** 2 / np.sum(weight)
     once = 2.0 * (np.conj(along_y) @ np.where(known, heights, 0.0) @ np.conj(along_x)) / np.sum(weight)
@@ -99,7 +102,7 @@ class _Means:
         pitch: Distance of the samples (dy, dx) [µm].
         blocks: Numbers of samples of a block along y and x.
         q: Frequency (y, x) of the wave at which the fit begins [1/µm].
-        orders: Numbers of the harmonics to fit; 1 is the fundamental.
+        orders: Numbers of the harmonics of the wave that are fitted; 1 is the fundamental.
     """
 
     y: NDArray[np.float64]
@@ -141,7 +144,7 @@ class _Means:
 
     @property
     def free(self) -> list[int]:
-        """Axes along which the field has more than one sample: 0 for y, 1 for x."""
+        """Axes along which the height field has more than one sample: 0 for y, 1 for x."""
         return [axis for axis in (0, 1) if self.shape[axis] > 1]
 
     def fitted(self) -> HarmonicFit:
@@ -253,7 +256,7 @@ class HarmonicFit:
 def _orders_and_blocks(
     q: NDArray[np.float64], shape: tuple[int, ...], pitch: tuple[float, float], most: int
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the numbers of the harmonics to fit, and how many samples are averaged along y and x before the fit."""
+    """Return the numbers of the harmonics to fit, and how many samples are averaged along y and x before a fit."""
     cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
     most = max(1, min(most, math.floor(0.5 * OF_NYQUIST / max(cycles))))
     while True:

@@ -1,4 +1,4 @@
-"""Samples of a height field: their array, its checks, and numbers that follow from it."""
+"""Array of the samples of a height field: checks of the array, and properties such as the height range."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.reader_registry import Source
 
-# Largest memory that is required while a field is made from an array, as measured [bytes per sample]. If doubled,
-# fields are refused that would fit into memory.
+# Measured peak memory while a height field is made from an array [bytes per sample]. If doubled, fields are refused
+# that would fit into memory.
 _BYTES_MADE = 13.0
 
 
@@ -85,8 +85,7 @@ class HeightSamples(ReadOnlyArrays):
     def source(self) -> Source | None:
         """File, channel, orientation of rows, and metadata of the instrument; None for heights from an array.
 
-        Fields that methods return have the same source, except for the results of `flipped` and `rotated`, which have
-        none.
+        Methods that return a new field keep its source, except `flipped` and `rotated`, whose results have none.
         """
         return self._source
 

@@ -112,7 +112,7 @@ def _aimed(
     pictures: NDArray[np.float64], eyes: NDArray[np.float64], to_light: NDArray[np.float64], cell: HeightField,
     width: float, wavelength_um: float,
 ) -> GratingMap:  # fmt: skip
-    """Return the map of dots with first orders that reach the eyes, for checked arguments."""
+    """Return the map of a card whose dots diffract their first order to the eyes; the arguments are already checked."""
     rows, columns = pictures.shape[1:]
     row, column = np.indices((rows, columns))
     of_dot = (row + column) % 2

@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-# Residual of the linear equations for missing heights, relative to the first residual, at which the solver stops.
+# The solver for missing heights stops at this residual of the linear equations, relative to the residual at its start.
 _CONVERGED = 1e-10
 # Maximum number of steps of the conjugate gradient method that fills gaps; about twenty steps suffice.
 _MOST_STEPS = 200
 # In the equations for missing heights, neighbouring samples along the axis with the coarser pitch have a smaller weight
-# than those along the other axis. The number is the smallest ratio of both weights; smaller ratios are raised to it.
-# A smaller weight would be lost in rounding errors.
+# than those along the other axis. The smallest permitted ratio of both weights is this number; smaller ratios are
+# raised to it. A smaller weight would be lost in rounding errors.
 _LEAST_WEIGHT = 1e-10
 # Damping factor of the Jacobi iterations, which smooth the errors on each grid of the multigrid method; the usual value
 # for five-point Laplacians.
 _DAMPING = 2.0 / 3.0
-# The multigrid method corrects the solution on a grid by a solution on the next coarser grid. The number is that of
-# Jacobi iterations before each correction, and again after it.
+# The multigrid method, which fills gaps, corrects the heights on a grid by a solution on the next coarser grid. This
+# number of Jacobi iterations smooths the errors before each correction, and again after it.
 _SWEEPS = 2
-# Number of unknowns up to which a grid of the multigrid method has no coarser grid. Its equations are solved by an
-# inverse matrix.
+# A grid of the multigrid method with at most this number of unknown heights has no coarser grid. Its equations are
+# solved by an inverse matrix.
 _FEW = 400
 # Coarser grids of the multigrid method. `_COARSER` is the number of samples that one sample of the next coarser grid
 # represents along an axis. If the ratio of the pitches along both axes is above `_MOST_ANISOTROPY`, only the axis with
@@ -89,8 +89,8 @@ def _equations(
         for one, other, height in ((before, after, height_after), (after, before, height_before)):
             unknown = one >= 0
             row, column = one[unknown], other[unknown]
-            # A missing sample has at most one neighbour on one side, so that each index in `row` occurs once. Additions
-            # to an indexed array are correct only if no index occurs twice.
+            # In one direction, a missing sample has at most one neighbour, so that each index in `row` occurs once.
+            # Additions to an indexed array are correct only if no index occurs twice.
             diagonal[row] += weight
             target[row] += weight * height[unknown]
             both = column >= 0

@@ -18,14 +18,15 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.wave_search import Wave
 
-# Fraction of the variance of the heights below which a wave is not reported as a period.
+# A wave is reported as a period only if it explains at least this fraction of the variance of the heights.
 _LEAST_SHARE = 1e-3
 # Least number of samples per period, along x and along y, of a resolved period. The value is limited by artefacts: a
 # scan that was rotated or scaled has copies of its spectral lines near the sampling limit of two samples per period.
 LEAST_SAMPLES = 3.0
-# Standard deviation of the heights, relative to the largest absolute height, below which a field counts as flat.
+# A field counts as flat if the standard deviation of its heights, relative to the largest absolute height, is below
+# this value.
 _ROUNDING = 1e-10
-# Cache of results by field: tuples of periods, by the argument ``count`` of the call.
+# Cache of the periods that were found in each height field: tuples of periods, by the argument ``count`` of the call.
 _found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = weakref.WeakKeyDictionary()
 
 
@@ -125,7 +126,7 @@ class Periods(tuple[Period, ...]):
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
-    """Find the strongest periods of a field, see `HeightField.periods`; the results are cached by field."""
+    """Find the strongest periods of a height field, see `HeightField.periods`; the results are cached per field."""
     cached = _found.setdefault(heightfield, {})
     if count not in cached:
         cached[count] = _fit(heightfield, count)
@@ -133,7 +134,7 @@ def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
 
 
 def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
-    """Find the strongest periods of a field."""
+    """Find the strongest periods of a height field, without the cache."""
     field = heightfield.levelled(1)
     known = ~field.missing
     deviation = field.rms_um

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.blocks import Block
     from warpdiff.heightfield.field import HeightField
 
-# Root mean square height of a levelled field, relative to its largest height before levelling, up to which the field
-# counts as flat. The value is limited by rounding errors of the subtracted polynomial. If doubled, no measured field
-# changes, because its noise is far larger.
+# A levelled field counts as flat up to this root mean square height, relative to the largest height before levelling.
+# The value is limited by rounding errors of the subtracted polynomial. If doubled, no measured field changes, because
+# its noise is far larger.
 _ROUNDING = 1e-10
 # Standard errors come from a jackknife over rectangular blocks of the field. The number is the least length of a block
 # along an axis, in decay lengths of the autocorrelation. It was fitted by bench/reproduce/iso_25178.py, so that two
@@ -33,26 +33,26 @@ _ROUNDING = 1e-10
 # standard errors are too small.
 _DECAYS_PER_BLOCK = 5.0
 # Largest number of blocks into which a field is divided to estimate standard errors: along each axis of a field, and
-# along a profile (single row or column of samples). More blocks would gain little: a standard error from 64 blocks has
-# itself an error of only 9 %.
+# along a profile (single row or column of samples). More blocks would gain little: a standard error from 8 × 8 blocks
+# has itself an error of only 9 %.
 _MOST_BLOCKS, _MOST_BLOCKS_OF_PROFILE = 8, 32
-# Least number of blocks of the field from which a standard error is estimated: the four quarters of a field. If halved,
-# the standard error is known only to a factor of 4.
+# Least number of blocks of the field from which a standard error is estimated: with 2 × 2 blocks, these are the
+# quarters of the field. If halved, the standard error is known only to a factor of 4.
 _LEAST_BLOCKS = 4
-# Largest number of samples along an axis for the first estimate of the autocorrelation; larger fields are averaged over
-# groups of samples. The value is limited by time: the Fourier transform of twice as many samples along both axes takes
-# 0.2 s.
+# The autocorrelation is first estimated from at most this number of samples along an axis. In larger fields, groups of
+# neighbouring samples are averaged for this estimate. The value is limited by time: the Fourier transform of twice as
+# many samples along both axes takes 0.2 s.
 _COARSE = 1024
-# Ratio of the largest computed lag to the extent of the region of lags where the autocorrelation exceeds
-# `autocorrelation.THRESHOLD`. The margin is necessary because the extent is an estimate. If doubled, the Fourier
-# transforms of the autocorrelation take longer.
+# The region of lags in which the autocorrelation exceeds `autocorrelation.THRESHOLD` is estimated first. The
+# autocorrelation is then computed at lags up to this factor times the extent of the region. A factor above 1 is
+# necessary because the extent is an estimate. If doubled, the Fourier transforms of the autocorrelation take longer.
 _MARGIN = 1.3
 # A field with grooves is divided into blocks for the standard errors. The number is the largest angle between the
 # grooves and an axis [degrees] at which the blocks are stripes along this axis. Stripes are necessary because parts of
 # a field along the same groove resemble each other. The value is half of the angle between an axis and the diagonal.
 _ALONG_AXIS_DEG = 22.5
-# Standard error of a parameter, relative to the parameter, above which the result also states a reason for the large
-# error. The value was chosen because two such standard errors are as large as the parameter.
+# If the standard error of a roughness parameter, relative to the parameter, exceeds this value, the result states a
+# reason for the large error. The value was chosen because two such standard errors are as large as the parameter.
 _LARGE_ERROR = 0.5
 # Least standard error that is printed as a number, relative to the parameter; a smaller error is printed as an upper
 # bound. The value was chosen so that printed values have at most seven digits.
@@ -66,13 +66,14 @@ _MEANINGS = {
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
 }
-# Reasons for a standard error above `_LARGE_ERROR`, by the name of the parameter. Near its minimum, the autocorrelation
-# changes slowly with distance, so that the distance at which it falls to the threshold has a large error.
+# Reasons for a standard error above `_LARGE_ERROR`, by the name of the roughness parameter. Near its minimum, the
+# autocorrelation changes slowly with distance, so that the distance at which it falls to the threshold has a large
+# error.
 _REASONS_OF_LARGE_ERRORS = {
     "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
     "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",
 }
-# Parameters that follow from sums over the samples of a field, without the autocorrelation of the heights.
+# Roughness parameters that follow from sums over the samples of a field, without the autocorrelation of the heights.
 _FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
 _UNITS = {"Sa": "µm", "Sq": "µm", "Sdq": "", "Sdr": "%", "Sal": "µm", "Str": ""}
 
@@ -173,7 +174,7 @@ class Roughness:
 
 
 def with_error(value: float, standard_error: float) -> str:
-    """Return a value and its standard error as text; the error has two significant digits.
+    """Return a value and its standard error as text; the standard error has two significant digits.
 
     An error below a millionth of the value is printed as an upper bound, such as ``<0.001``.
     """
@@ -226,7 +227,7 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
 
 
 def has_large_error(value: float, error: float | None) -> bool:
-    """Whether the standard error of a parameter is more than half as large as the parameter."""
+    """Whether the standard error of a roughness parameter is more than half as large as the parameter."""
     return error is not None and error > _LARGE_ERROR * abs(value)
 
 
@@ -292,8 +293,8 @@ def _sums(
         excess, cells = float(np.sum(_excess(squares[pairs]))), int(np.count_nonzero(pairs))
     else:
         whole = pairs_x[1:] & pairs_x[:-1]
-        # Each diagonal splits a square of four neighbouring samples into two triangles. The area of the square is the
-        # mean over both diagonals, which is half of the sum of all four triangles.
+        # Each diagonal splits a square of four neighbouring samples into two triangles. The surface area over the
+        # square is the mean over both diagonals, which is half of the sum of all four triangles.
         excess = 0.25 * sum(
             float(np.sum(_excess((x + y)[whole])))
             for x in (squares_x[:-1], squares_x[1:])
@@ -323,7 +324,7 @@ def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 def _coarse_decay(heights: NDArray[np.float64], known: NDArray[np.bool_], pitch_um: tuple[float, float]) -> Decay:
     """Return the decay of the autocorrelation of a field; a large field is averaged over groups of samples first.
 
-    The extents of the decay along y and x are in samples of the field before averaging.
+    The extents of the decay, the largest lags along y and x above the threshold, are in samples before averaging.
     """
     factors = tuple(-(-n // _COARSE) for n in heights.shape)
     if max(factors) > 1:

@@ -25,23 +25,23 @@ _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 _MOST_PITCH_UM = 2.0
 # Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth diffraction order.
 _LEAST_SIZE_UM = 0.19
-# Mean slopes above which a field gets a warning. A mean slope above `_STEEP` causes a warning if the median slope also
-# exceeds `_STEEP`. A mean slope above `_TOO_STEEP` always causes a warning. An echelle grating of 76° has a mean slope
-# of 8 but a median slope of 4, and gets no warning.
+# A field gets a warning if its mean and its median slope exceed `_STEEP`, or if its mean slope exceeds `_TOO_STEEP`. An
+# echelle grating of 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
 _STEEP, _TOO_STEEP = 5.0, 10.0
-# Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. Flat
-# fields get no warning about their unit.
+# A field counts as flat up to this height range, relative to the largest absolute height: such a range consists of
+# rounding errors. Flat fields get no warning about their unit.
 _ROUNDING = 1e-12
-# Units that users may have meant instead of µm, with their sizes in µm, from the most to the least usual unit.
+# Units of length that users may have meant instead of µm, with their sizes in µm, from the most to the least usual
+# unit.
 _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
 # Usual height ranges [µm], pitches [µm] and mean slopes of scans. A warning proposes another unit only if this unit
 # brings all three quantities into their usual ranges.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
-# Middle of the usual height ranges [µm]. If several units are possible, the unit is proposed that brings the height
-# range nearest to this middle, on a logarithmic scale.
+# Middle of the usual height ranges [µm]. If several units of the heights are possible, a warning proposes the unit that
+# brings the height range nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
-# Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
-# Both values are conventions; if doubled, fewer wrong units are noticed.
+# A warning asks for the unit of a synthetic grating if its period [µm], or the ratio of its depth to its period,
+# exceeds these values. Both are conventions; if doubled, fewer wrong units are noticed.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
 # Largest number of slopes along each axis from which the mean and the median slope are computed. The value is limited
 # by time: if doubled, the check takes twice as long.
@@ -225,7 +225,7 @@ class _Scale:
 
     @staticmethod
     def _changes() -> Iterator[tuple[str, str]]:
-        """Yield all pairs of a unit of the heights and a unit of the pitch, of which at least one is not µm."""
+        """Yield all pairs of a unit of the heights and a unit of the pitch, except the pair of µm and µm."""
         for heights in ("", *_UNITS):
             for pitch in ("", *_UNITS):
                 if heights or pitch:
@@ -242,5 +242,5 @@ class _Scale:
 
 
 def _is_within(pitch: tuple[float, float], size: float) -> bool:
-    """Return whether the smallest pitch, the largest pitch and the size [µm] are in the ranges of usual scans."""
+    """Return whether the smallest pitch, the largest pitch and the size [µm] of a field are usual for scans."""
     return _PITCHES_UM[0] <= pitch[0] and pitch[1] <= _PITCHES_UM[1] and size >= _LEAST_SIZE_UM

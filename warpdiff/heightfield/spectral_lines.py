@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 # [cycles over the field]: narrow lines need 1, and the broad lines of waves with a varying phase need more. At least
 # `_LEAST_BOXES` boxes must fit along each axis of the spectrum; wider boxes are not used.
 _WIDTHS, _LEAST_BOXES = (1, 3, 7, 15, 31), 4
-# Accepted probabilities that noise alone is taken for a spectral line. `_FALSE_ALARM` is the probability anywhere in
-# the spectrum, for each width of the boxes over which the spectrum is averaged. `_SINGLE_FALSE_ALARM` is the
-# probability at a single known frequency.
+# Accepted probabilities that noise alone is taken for a spectral line. `_FALSE_ALARM` is the probability that this
+# happens anywhere in the spectrum, for each width of the boxes over which the spectrum is averaged.
+# `_SINGLE_FALSE_ALARM` is the probability at a single known frequency.
 _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
-# Smallest ratio of the power of a broad spectral line to the background around it. Estimates of the background are
-# wrong by less than this factor. If doubled, weak waves with a varying phase are lost.
+# A broad spectral line must exceed the background around it by at least this factor. Estimates of the background are
+# wrong by a smaller factor. If doubled, weak waves with a varying phase are lost.
 _LEAST_CONTRAST = 4.0
-# Largest probability that noise alone causes a maximum of the spectrum for which this maximum is examined further. The
-# power of the noise is here the coarse background, which is estimated in rings and sectors of the frequency plane.
+# A maximum of the spectrum is examined further if noise alone causes it with at most this probability. The power of the
+# noise is here the coarse background, which is estimated in rings and sectors of the frequency plane.
 _EXAMINED = 1e-3
 # Largest number of maxima of the spectrum that are examined for each width of the boxes over which it is averaged. The
 # value is limited by time: if doubled, the search takes up to twice as long.
@@ -52,14 +52,14 @@ _HIGHEST = (1.8, 2.4)
 # coefficients are used in total: of a larger spectrum, every nth coefficient is used. This number is limited by time;
 # if doubled, the estimate takes twice as long.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
-# Frequency [cycles over the longer side of the field] below which all Fourier coefficients are used for the coarse
-# background, also in large spectra.
+# At frequencies below this value [cycles over the longer side of the field], all Fourier coefficients are used to
+# estimate the coarse background, also in large spectra.
 _FEW_CYCLES = 64.0
-# Smallest and largest exponent p of a background whose power is proportional to the frequency to the power −p. Values
-# beyond these limits are errors of an estimate from few Fourier coefficients.
+# The power of the background is modelled as proportional to the frequency to the power −p. These are the smallest and
+# the largest accepted exponent p. Values beyond these limits are errors of an estimate from few Fourier coefficients.
 _EXPONENTS = (-4.0, 8.0)
-# Angles [rad] of the straight lines through a maximum of the spectrum, along which the power of the maximum is compared
-# with the other powers.
+# Straight lines in the frequency plane are laid through a maximum of the spectrum, and the power of the maximum is
+# compared with the other powers on each line. These are the angles of the lines [rad].
 _FAN = np.arange(24) * (math.pi / 24.0)
 _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
 # Quantile of the powers in a ring or sector of the frequency plane from which the coarse background is estimated. The
@@ -128,7 +128,7 @@ class WindowedSpectrum:
         return float(np.sum((power - line.background_at(rows, columns))[inside]))
 
     def around(self, cycles: NDArray[np.float64]) -> float:
-        """Return the power around a frequency, summed over the main lobe of the Hann window."""
+        """Return the power around a frequency, summed over the coefficients to which the Hann window spreads a line."""
         place = self._place(cycles)
         return float(np.sum(self.power[self._main_lobe(place)])) if min(place) >= 0 else 0.0
 
@@ -143,11 +143,11 @@ class WindowedSpectrum:
 
     @staticmethod
     def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
-        """Return slices of rows and columns around a coefficient that the Hann window's main lobe (maximum) covers."""
+        """Return slices of the rows and columns around a coefficient over which the Hann window spreads a line."""
         return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-        """Return the frequency of the largest power within ``radius`` cycles of the frequency ``cycles``."""
+        """Return the frequency [cycles over the field] of the largest power within ``radius`` of ``cycles``."""
         rows, columns = self._window(cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])].copy()
         power[np.hypot(rows[:, None] - cycles[0], columns[None, :] - cycles[1]) > radius] = 0.0
@@ -155,7 +155,7 @@ class WindowedSpectrum:
         return np.array([float(rows[row]), float(columns[column])])
 
     def _window(self, cycles: NDArray[np.float64], radius: float) -> list[NDArray[np.int64]]:
-        """Return the frequencies [cycles] of the rows and columns within ``radius`` of the frequency ``cycles``."""
+        """Return the frequencies [cycles over the field] of rows and columns within ``radius`` of ``cycles``."""
         return [
             np.arange(max(math.ceil(c - radius), -centre), min(math.floor(c + radius) + 1, n - centre))
             for c, n, centre in zip(cycles, self.power.shape, self.centre, strict=True)
@@ -182,10 +182,11 @@ class WindowedSpectrum:
         return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
 
     def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a coarse estimate of the spectrum's background at each coefficient, in rings and sectors of the plane.
+        """Return a coarse estimate of the background of the spectrum at each Fourier coefficient.
 
-        The rings and sectors divide the frequency plane. The largest of several estimates counts. The coefficients on
-        both axes of the plane have separate estimates, because steps between scan lines have their power on an axis.
+        The frequency plane is divided into rings and sectors, and the largest of several estimates counts. The
+        coefficients on both axes of the plane have separate estimates, because steps between scan lines have their
+        power on an axis.
         """
         rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
         # Frequency of each Fourier coefficient [cycles over the longer side of the field].
@@ -225,7 +226,7 @@ class WindowedSpectrum:
     def _strongest_of_width(
         self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
     ) -> Line | None:
-        """Return the strongest significant line of the spectrum after averaging over square boxes, or None."""
+        """Return the strongest significant line (maximum) of the spectrum averaged over square boxes, or None."""
         from scipy import ndimage, special
 
         sides = tuple(width if n > 1 else 1 for n in white.shape)
@@ -298,10 +299,10 @@ class WindowedSpectrum:
     def _of_same_direction(
         self, cycles: NDArray[np.float64], width: int, sizes: NDArray[np.float64]
     ) -> tuple[list[float], list[float], int]:
-        """Return the mean power of a line's background at lower and at higher frequencies of the same direction.
+        """Return the mean power of the background of a line, at lower and at higher frequencies of the same direction.
 
-        Also return the means of the lower and of the higher frequencies, relative to the frequency of the line, and the
-        number of Fourier coefficients that were used. This number is 0 if no coefficient has a lower frequency.
+        Also return the mean lower frequency and the mean higher frequency, relative to the frequency of the line, and
+        the number of Fourier coefficients that were used. This number is 0 if no coefficient has a lower frequency.
         """
         vector = cycles / sizes
         length = float(np.hypot(*vector))
@@ -407,8 +408,8 @@ def _ring_background(
 ) -> NDArray[np.float64]:
     """Estimate the mean power in each ring of the frequency plane from a quantile of powers.
 
-    The quantile for a ring is over this ring and ``reach`` rings on both sides. Rings without any Fourier coefficient
-    get interpolated values.
+    The quantile for a ring is that of the powers in this ring and in ``reach`` rings on both sides. Rings without any
+    Fourier coefficient get interpolated values.
     """
     order = np.argsort(ring, kind="stable")
     power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))

@@ -47,22 +47,23 @@ Grade = Literal["reliable", "qualitative", "invalid"]
 # Wavelength of a verdict on scalar diffraction, if the caller states no wavelengths [nm]: green, the middle of the
 # visible range.
 WAVELENGTH_NM = 550.0
-# Estimated error of order efficiencies from which the verdict on scalar diffraction is "qualitative" instead of
-# "reliable": a tenth of the reflected power. If doubled, gratings with larger errors are graded reliable.
+# The verdict on scalar diffraction is "qualitative" instead of "reliable" if the estimated error of order efficiencies
+# is at least this value, a tenth of the reflected power. If doubled, gratings with larger errors are graded reliable.
 QUALITATIVE = 0.1
-# Estimated error of order efficiencies from which the verdict on scalar diffraction is "invalid". Of the gratings with
-# such an estimate, 99 % have an order whose efficiency is wrong by more than a tenth of the reflected power. If halved,
-# shallow patterns with features of two wavelengths are graded invalid.
+# The verdict on scalar diffraction is "invalid" if the estimated error of order efficiencies is at least this value. In
+# 99 % of the gratings with such an estimate, the efficiency of an order is wrong by more than a tenth of the reflected
+# power. If halved, shallow patterns with features of two wavelengths are graded invalid.
 INVALID = 0.9
 # Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. They were
-# fitted to rigorous solutions for two thirds of the periods and depths; the other third tests the factors
+# fitted to rigorous solutions for gratings with two thirds of the periods and depths; the others test the factors
 # (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
-# Ratio of the estimated error to the fraction of undersampled steps in the relief. If half of the relief is
-# undersampled, the estimated error is 1, and the results are meaningless.
+# Ratio of the estimated error to the fraction of undersampled steps, whose height changes the phase too much for the
+# samples. If half of the relief is undersampled, the estimated error is 1, and the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
-# Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
-# two wavelengths. The value was fitted to rigorous solutions, as the factors of the estimated errors were.
+# Features of a surface count as narrow if the product of their spatial frequency and the wavelength is above this
+# value: their period is less than two wavelengths. The value was fitted to rigorous solutions, as the factors of the
+# estimated errors were.
 _NARROW = 0.5
 # Largest number of wavelengths for which the estimated errors of a height field are cached. The value is limited by
 # memory. The evaluation of a spectrum requires a verdict at three of its wavelengths.
@@ -71,14 +72,14 @@ _MOST_CACHED = 16
 # samples, and along each axis of other height fields. The values are limited by time, so that a verdict takes at most
 # 30 ms.
 _MOST_OF_PROFILE, _MOST_OF_FIELD = 4096, 192
-# Least number of samples per wavelength that remain if only every n-th sample of a finely sampled height field is used.
-# If halved, orders near the horizon suffer from aliasing.
+# In finely sampled height fields, only every n-th sample is used. This is the least number of used samples per
+# wavelength. If halved, orders near the horizon suffer from aliasing.
 _PER_WAVELENGTH = 8.0
-# Angles of incidence for which the efficiencies of all orders are summed [degrees]. They are the angles of the rigorous
-# solutions to which the estimated errors were fitted.
+# To test energy conservation, the efficiencies of all orders are summed for these angles of incidence [degrees]. They
+# are the angles of the rigorous solutions to which the estimated errors were fitted.
 _ANGLES_DEG = (0.0, 30.0, 60.0)
-# Height range, in wavelengths, above which the efficiencies of all orders are not summed. The value is limited by time:
-# larger ranges require so many Fourier transforms that a verdict takes more than 30 ms.
+# The efficiencies of all orders are not summed if the height range exceeds this number of wavelengths. The value is
+# limited by time: larger ranges require so many Fourier transforms that a verdict takes more than 30 ms.
 _MOST_RANGE = 6.0
 # Least cosine of the angle between an order and the normal for which the order counts in the sum of efficiencies.
 # Orders with a smaller cosine are within 5.7° of the horizon. At the horizon the efficiency of an order diverges, so
@@ -126,7 +127,7 @@ class TheoryVerdict:
 
     @property
     def remedy(self) -> str:
-        """Advice for the user in an error or a warning; it depends on the reason of the verdict."""
+        """Advice in an error or a warning about scalar diffraction; it depends on the reason of the verdict."""
         if self.reason == "undersampled":
             return "scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
         energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
@@ -146,7 +147,7 @@ class TheoryVerdict:
         return text if self.grade == "reliable" else f"{text}, because {self.explanation}"
 
 
-# Texts for the reasons in printed verdicts, by the name of the reason.
+# Explanations in printed verdicts on scalar diffraction, by the reason of the verdict.
 _REASONS: dict[Reason, str] = {
     "steep": "the relief is steep",
     "deep": "the relief is deep",
@@ -157,7 +158,7 @@ _REASONS: dict[Reason, str] = {
 
 
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
-    """Return the wavelength of the verdict on an evaluation [nm]: 550 nm, or the nearest one within its wavelengths."""
+    """Return the wavelength of a verdict [nm]: the one nearest to 550 nm between the shortest and the longest one."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
 
 
@@ -198,7 +199,7 @@ def _cached(
     cache: weakref.WeakKeyDictionary[HeightField, dict[float, _T]], heightfield: HeightField, wavelength_nm: float,
     make: Callable[[HeightField, float], _T],
 ) -> _T:  # fmt: skip
-    """Return the result of ``make(heightfield, wavelength)``, cached by height field; ``make`` expects µm."""
+    """Return ``make(heightfield, wavelength in µm)``, or its cached result for this height field and wavelength."""
     cached = cache.setdefault(heightfield, {})
     if wavelength_nm not in cached:
         if len(cached) >= _MOST_CACHED:
@@ -230,7 +231,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies of a Fourier transform times the wavelength (no unit), along y and x, shapes (ny, nx)."""
+    """Return the frequencies (y, x) of a discrete Fourier transform times the wavelength (no unit), (ny, nx) each."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -239,7 +240,7 @@ def _orders(
 def _part(
     heightfield: HeightField, wavelength_um: float
 ) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
-    """Return heights of a middle part of the field, without samples much closer together than the wavelength requires.
+    """Return the heights of the middle of a field, at most as finely sampled as the wavelength requires.
 
     Also return the pitch of the part [µm] and a window function. If the part is smaller than the field along an axis,
     the window function falls to 0 at both ends of the part along this axis. Otherwise it is 1.
@@ -303,9 +304,10 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[float, float]:
-    """Return by how much the sum of Stam's efficiencies over all orders deviates from 1, for a mirror and for glass.
+    """Return the relative error of the sum of Stam's efficiencies over all orders, for a mirror and for glass.
 
-    The results are the largest deviations for several directions to the light.
+    Energy conservation requires that the sum equals the reflectance of a flat surface. The results are the largest
+    deviations from it, relative to this reflectance, for several directions to the light.
     """
     heights, pitch_um, window = _part(heightfield, wavelength_um)
     heights = heights / wavelength_um
@@ -345,7 +347,7 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
 
 
 def _lights(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
-    """Return the directions to the light for which orders are summed: on both sides of the normal along x and y.
+    """Return the directions to the light for which efficiencies are summed: on both sides of the normal, along x and y.
 
     There are no directions along an axis on which the height field has a single sample.
     """

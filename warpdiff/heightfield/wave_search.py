@@ -18,39 +18,38 @@ from warpdiff.heightfield.spectral_lines import Line, WindowedSpectrum
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of periods by which a wave may fall short of the required three periods over the field. The margin is necessary
-# because the fitted frequency of a wave has an error.
+# A wave must repeat at least three times over the field, minus this number of periods. The margin is necessary because
+# the fitted frequency of a wave has an error.
 _ROUNDED_PERIODS = 0.02
 # The power of a wave is measured in a band of frequencies around its line (maximum) in the spectrum. `_BAND` is the
-# radius of this band relative to the frequency of the line. `_LEAST_BAND` is the smallest radius [cycles over the
-# field].
+# radius of this band relative to the frequency of the line. `_LEAST_BAND` is the smallest radius of a band [cycles over
+# the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# A wavering wave is one whose phase varies over the field. The number is the distance of a weaker spectral line from
-# the mean frequency of such a wave, relative to this frequency, up to which the line belongs to the wave. The value was
-# fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly all of their power is
-# in lines at lower and higher frequencies than the mean, within this distance of the mean. If doubled, lines of other
-# waves are discarded.
+# A wavering wave, whose phase varies over the field, causes several lines of the spectrum. A weaker line belongs to
+# such a wave if its distance from the mean frequency of the wave, relative to this frequency, is at most this value.
+# The value was fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly all of
+# their power is in lines within this distance. If doubled, lines of other waves are discarded.
 _SIDE_LINES = 0.55
-# Bands of frequencies around the harmonics of a wave are excluded from the search for further waves. The number is the
-# radius of such a band, relative to the frequency of the wave.
+# Once a wave is found, bands of frequencies around its harmonics are excluded from the search for further waves. This
+# is the radius of such a band, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
 # Harmonics above the Nyquist limit alias to lower frequencies. The aliases of harmonics up to this number are excluded
 # from the search for further waves. Higher harmonics have little power, and the excluded bands around all aliases would
 # cover the spectrum.
 _MOST_ALIASED = 5
-# Radius of the band of frequencies of a wavering wave, whose phase varies over the field. The radius is in standard
-# deviations of the frequencies in this band, which are weighted by power.
+# The power of a wavering wave, whose phase varies over the field, is spread over a band of frequencies. This is the
+# radius of the band, in standard deviations of the frequencies in it, which are weighted by power.
 _BAND_IN_DEVIATIONS = 2.5
 # A wavering wave is one whose phase varies over the field. The search for its mean frequency begins with a band of
 # frequencies of at most this radius [cycles over the field]. The value is the width of the widest boxes over which the
 # spectrum is averaged to search lines. If doubled, the bands of periods that are short compared with the field contain
 # neighbouring lines, which move the mean frequency.
 _FIRST_BAND = 31.0
-# Distance of two spectral lines [cycles over the field] below which they count as one line, because they are within one
-# main lobe of the Hann window.
+# Two spectral lines count as one if their distance is below this value [cycles over the field], because both are within
+# one main lobe of the Hann window.
 _RESOLUTION = 2.5
-# A wave counts as coherent if its best sine explains most of its power. The power that remains around its frequency,
-# after this sine is subtracted, must be less than this fraction of the power of the sine.
+# A wave counts as coherent if a single sine explains most of its power. This sine is subtracted from the heights. The
+# power that remains around its frequency must be less than this fraction of the power of the sine.
 _COHERENT = 0.5
 # After a sine is subtracted from the heights, a second sine counts as another wave if it explains at least this share
 # of the power that remains near the first sine. Otherwise this power belongs to the first wave, which then counts as a
@@ -132,8 +131,8 @@ class WaveSearch:
         """Find at most ``count`` waves, beginning with the strongest line (narrow maximum) of the spectrum."""
         waves: list[Wave] = []
         spectrum = WindowedSpectrum(self.heights)
-        # More spectral lines are examined than waves are requested, because some lines are rejected: those that belong
-        # to earlier waves.
+        # More spectral lines are examined than waves are requested, because lines that belong to earlier waves are
+        # rejected.
         for _ in range(2 * count + 2):
             line = spectrum.strongest_line(self.excluded, self.sizes)
             if line is None:
@@ -194,7 +193,7 @@ class WaveSearch:
         )
 
     def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
-        """Return whether a spectral line at a frequency is so near to a wave of varying phase that it belongs to it."""
+        """Return whether a spectral line at this frequency belongs to a nearby wave whose phase varies."""
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
@@ -239,7 +238,7 @@ class WaveSearch:
         return fitted, np.where(self.known, heights - sine, 0.0)
 
     def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[Wave, WindowedSpectrum]:
-        """Fit and subtract a wave of nearly constant frequency with its harmonics; return it and the new spectrum."""
+        """Fit a wave of nearly constant frequency, and subtract it from the heights; return it and the new spectrum."""
         fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
         residual = np.where(self.known, self.heights - fit.heights(), 0.0)
         frequency = float(np.hypot(*fit.q))
@@ -363,7 +362,7 @@ class WaveSearch:
 
 
 def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Return the distance of two frequencies (y, x) [cycles over the field]."""
+    """Return the distance of two frequencies (y, x) in the frequency plane [cycles over the field]."""
     return float(np.hypot(*(a - b)))
 
 

@@ -1,6 +1,6 @@
-"""``Design``: a designed height field, with requested and achieved values.
+"""``Design``: a designed height field, with the requested and the achieved colours and efficiencies.
 
-Manufacture rounds the edges of a relief. Its effect is computed by a convolution of the heights with a Gaussian.
+Manufacture rounds the edges of a relief. This rounding is computed by a convolution of the heights with a Gaussian.
 """
 
 from __future__ import annotations
@@ -36,11 +36,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Least number of samples per standard deviation of the Gaussian that rounds edges. Fewer samples do not resolve it.
+# The rounding of edges in manufacture is computed with a Gaussian. The number is the least number of samples per
+# standard deviation of this Gaussian. Fewer samples do not resolve it.
 _PER_EDGE = 2.0
-# Least standard deviation of the Gaussian that rounds edges, relative to the distance of samples. The value is limited
-# by time and memory: the number of samples along an axis is proportional to its reciprocal. At this value, the number
-# is 200 times that of the design.
+# Least standard deviation of the Gaussian that rounds edges, relative to the distance of the design's samples. The
+# value is limited by time and memory: the number of samples along an axis that resolve the Gaussian is proportional to
+# its reciprocal. At this value, the number of samples is 200 times that of the design.
 _SHARPEST_EDGE = 0.01
 # Measured peak memory while edges are rounded and efficiencies are computed [bytes per sample]. If doubled, sharp edges
 # are refused whose samples would fit into memory.
@@ -61,13 +62,15 @@ class Design:
     Attributes:
         heightfield: One period of the surface.
         parameters: Parameters of the profile, shape (p,): the heights of pixels [µm].
-        levels_um: Heights of the levels [µm], shape (levels,); None without levels.
+        levels_um: Heights of the equally spaced levels to which pixels are rounded [µm], shape (levels,); None without
+            levels.
         targets: Targets of the design.
         achieved: Table with a row per requested value: number of the target, quantity (X, Y and Z times the exposure,
             or an order), requested and achieved value, and the error: ΔE2000 of the colour, the relative deviation from
             the mean of equal orders, or the difference of efficiencies.
         exposure: Common factor of all colours, which makes the sum of the squares of ΔE2000 least; 1 without colours.
-        history: Table with the number of evaluations and the loss after each stage of each start.
+        history: Table with the number of evaluations and the loss after each stage of the search, for each random
+            start.
         loss: Loss of the design, the weighted sum of all errors that the search has minimised.
 
     Examples:
@@ -110,12 +113,12 @@ class Design:
 
     @property
     def uniformity_errors(self) -> Array:
-        """(largest − least)/(largest + least) of the efficiencies of each target of equal orders; 1 if all are dark."""
+        """(largest − least)/(largest + least) of the efficiencies per target of equal orders; 1 if all are dark."""
         return np.array([uniformity_error(self._of(k)) for k, each in enumerate(self.targets) if each.kind == "equal"])
 
     @property
     def shares(self) -> Array:
-        """Sum of the efficiencies of each target of orders, relative to that of all orders that propagate."""
+        """Sum of the efficiencies of the orders of each target of orders, relative to all propagating orders."""
         result = []
         with silenced():
             for k, target in enumerate(self.targets):
@@ -124,7 +127,7 @@ class Design:
         return np.array(result)
 
     def _of(self, number: int) -> Array:
-        """Return the achieved values of a target."""
+        """Return the achieved XYZ of a colour or efficiencies of orders, for the target with the index ``number``."""
         return np.asarray(self.achieved["achieved"][self.achieved["target"] == number])
 
     def report(self) -> str:
@@ -210,7 +213,7 @@ class Design:
         self, *, depth_scales: Sequence[float] = (0.95, 1.05), edge_widths_um: Sequence[float] | None = None,
         tilts_deg: Sequence[float] = (0.25, 1.0),
     ) -> Table:  # fmt: skip
-        """Return the errors of the design after changes of its depth, its edges and its angle.
+        """Return the errors of the design after changes of its depth, of the sharpness of its edges, and of its tilt.
 
         Args:
             depth_scales: Factors of all heights, 0.1 to 10.
@@ -221,9 +224,10 @@ class Design:
                 viewers must remain above the horizon.
 
         Returns:
-            A row for the design and per change: the change, its amount, the largest ΔE2000 of a colour at the
-            exposure of the design if there are colours, and the largest deviation of an order if there are orders:
-            relative to the mean of equal orders, or the difference of efficiencies.
+            Table with a row for the unchanged design and a row per change: kind and amount of the change, the largest
+            ΔE2000 of a colour at the exposure of the design if there are colours, and the largest deviation of an
+            order's efficiency if there are orders. This deviation is relative to the mean of equal orders, or a
+            difference of efficiencies.
 
         Raises:
             ValueError: A number is out of its range, or a direction leaves the upper hemisphere.
@@ -329,7 +333,7 @@ def uniformity_error(efficiencies: Array) -> float:
 
 
 def _errors(targets: Sequence[Target], values: list[Array], exposure: float) -> tuple[float, float]:
-    """Return the largest ΔE2000, and the largest deviation of an order; NaN if there is no colour, or no order."""
+    """Return the largest ΔE2000 and the largest error of an order's efficiency; NaN without colours or orders."""
     table = _table(targets, values, exposure)
     is_order = np.array([targets[k].kind != "colour" for k in table["target"]])
     parts = table["error"][~is_order], np.abs(table["error"][is_order])
@@ -359,7 +363,7 @@ def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> T
 
 
 def _numbers(values: ArrayLike, name: str, low: float, high: float, origin: str = "") -> list[float]:
-    """Return the values of an argument after a check of their range.
+    """Return the numbers in an argument as a list, after a check of their range.
 
     ``origin`` is the unit of the limit ``high`` and the reason for it, for the error message.
     """

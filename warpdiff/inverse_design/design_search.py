@@ -35,24 +35,28 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest number of starts of a search. The value is limited by the computing time, which is proportional to it.
+# Largest number of random starts of the search for a design. The value is limited by the computing time, which is
+# proportional to it.
 _MOST_STARTS = 1000
-# Largest numbers of iterations of the minimiser: for each start, for the continued best starts, and for each weight of
-# the penalty that draws heights to levels. The first number was chosen because further iterations rarely change which
-# starts have the least loss. The second number was chosen because further iterations rarely change the loss.
+# Largest numbers of iterations of the minimiser: for each random start, for the best starts, which are continued, and
+# for each weight of the penalty that draws heights of pixels to levels. The first number was chosen because further
+# iterations rarely change which starts have the least loss. The second number was chosen because further iterations
+# rarely change the loss.
 _MOST_FIRST, _MOST_ITERATIONS, _MOST_PENALISED = 60, 300, 50
 # Number of earlier gradients that the minimiser L-BFGS-B stores. The value was chosen because more gradients do not
 # reduce the number of iterations.
 _MEMORY = 20
-# Weights of the penalty that draws heights h to levels, in the order of their use. The penalty is the mean of
-# sin²(πh/step) over all heights, where step is the distance of two levels. It is 0 if all heights are levels. With the
-# last weight, rounding to levels raises the loss so little that changes of single pixels make up for it.
+# Weights of the penalty that draws heights h of pixels to the levels that can be manufactured, in the order of their
+# use. The penalty is the mean of sin²(πh/step) over all heights, where step is the distance of two levels. It is 0 if
+# all heights are levels. With the last weight, rounding to levels raises the loss so little that changes of single
+# pixels make up for it.
 _PENALTIES = (10.0, 100.0, 1000.0, 10_000.0)
-# Number of starts that are continued after the first iterations; they have the least loss. The value was chosen because
-# the third start hardly ever gives the best design.
+# Number of random starts of a search that are continued after their first iterations, those with the least loss. The
+# value was chosen because the third start hardly ever gives the best design.
 _CONTINUED = 2
-# Range within which the default depth of pixels with levels is adjusted. The depth is relative to the one at which the
-# levels divide a full cycle of the phase. The best depth is inside the range: the loss is larger at both of its ends.
+# If the user states levels but no depth, the depth of the pixels is adjusted within this range. It is relative to the
+# depth at which the levels divide a full cycle of the phase of the reflected light. The best depth is inside the range:
+# the loss is larger at both of its ends.
 _DEPTH_RANGE = 0.8, 1.2
 # Largest depth of pixels [µm]. The value is limited because scalar diffraction does not describe deeper pixels.
 _DEEPEST_UM = 10.0
@@ -64,9 +68,9 @@ class Limits(NamedTuple):
     Profiles of other classes than `Pixels` have no such limits; their parameters have bounds instead.
 
     Attributes:
-        levels: Number of levels; None if the heights are not restricted to levels.
-        depths_um: Least and largest depth [µm].
-        feature: Least width of a feature [pixels].
+        levels: Number of height levels that a pixel may have; None if the heights are not restricted to levels.
+        depths_um: Least and largest depth of the relief [µm].
+        feature: Least width of a ridge or a groove [pixels].
     """
 
     levels: int | None
@@ -75,11 +79,11 @@ class Limits(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """Result of a stage of the search for one start.
+    """Parameters and loss after one stage of the search, for one random start.
 
     Attributes:
-        start: Number of the start.
-        loss: Loss of the parameters.
+        start: Index of the random start.
+        loss: Loss (weighted sum of all errors) at the parameters.
         x: Parameters of the profile. For pixels, these are heights [µm] of blocks, squares of the least feature width.
         log_exposure: Logarithm of the exposure, the common factor of all colours.
     """
@@ -233,7 +237,7 @@ def _limits(
 
 
 def _search_of(profile: Profile, targets: list[Target], limits: Limits) -> _Search:
-    """Return the search of a design. A single column of pixels is searched as a row, with x and y exchanged."""
+    """Return the search for a design. A single column of pixels is searched as a row, with x and y exchanged."""
     surface = profile.surface(profile.start)
     for target in targets:
         if target.kind != "colour":
@@ -261,7 +265,7 @@ class _Search:
         self._rows: list[tuple[int, str, int, float]] = []
 
     def history(self) -> Table:
-        """Return a table with a row per stage of each start: the number of evaluations, and the loss."""
+        """Return a table with a row per stage of each random start: the number of evaluations, and the loss."""
         names = ("start", "stage", "evaluations", "loss")
         return Table(dict(zip(names, map(np.array, zip(*self._rows, strict=True)), strict=True)))
 
@@ -297,7 +301,7 @@ class _Search:
         return depth * levels / (levels - 1) if levels and self._wraps else depth
 
     def first(self, start: int, rng: np.random.Generator) -> _Candidate:
-        """Minimise the loss from one start, without levels, by at most `_MOST_FIRST` iterations."""
+        """Minimise the loss from one random start by at most `_MOST_FIRST` iterations; heights need not be levels."""
         goal, blocks = self._goal, self._blocks
         goal.factors = [np.ones_like(factors) for factors in goal.factors]
         if not isinstance(blocks, Pixels):
@@ -314,7 +318,7 @@ class _Search:
         return free._replace(x=np.minimum(free.x % cycle, top))
 
     def refined(self, candidate: _Candidate) -> _Candidate:
-        """Continue the minimisation of a start, without levels; efficiencies are normalised if a target requests it."""
+        """Continue the minimisation of the loss from a start, without levels; normalise efficiencies if requested."""
         blocks = self._blocks
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Number of iterations of the Fourier transforms. The value was chosen because the amplitudes of the orders no longer
-# change visibly after 200 iterations.
+# Number of iterations of the Fourier transforms that compute the first heights. The value was chosen because the
+# amplitudes of the orders no longer change visibly after 200 iterations.
 _ITERATIONS = 200
 # Exponent of the feedback. Each iteration transforms amplitudes of orders to heights and back. Before the next one, an
 # amplitude is multiplied by the ratio of its requested to its reached value, to this power. The value was chosen

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Weight of the mean squared relative deviation of efficiencies in the loss. With this weight, a deviation of 1 % of all
-# orders counts as much as a colour difference of 1 in CIE Lab.
+# Weight in the loss of the mean squared deviation of efficiencies, relative to the mean efficiency of a target. With
+# this weight, a deviation of 1 % of all orders counts as much as a colour difference of 1 in CIE Lab.
 _PER_DEVIATION = 1e4
 # Weight of the power that a target of equal orders lacks, relative to the power that a flat surface reflects. The value
 # was chosen so that 1 % more power is worth a deviation of 2.2 % of all orders. Larger weights make orders less equal.
@@ -43,14 +43,15 @@ _PER_LOST_SHARE = 500.0
 # exposure. The value was chosen so that a design that is twice as bright may have a colour error of 4.6 in CIE Lab.
 # Larger weights make colours wrong.
 _PER_EXPOSURE = 30.0
-# Sum of the efficiencies of a target up to which all of its orders count as dark. The value is far above the rounding
-# errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design changes.
+# All orders of a target count as dark if the sum of their efficiencies is at most this value. The value is far above
+# the rounding errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design
+# changes.
 LEAST_POWER = 1e-12
 # Constant δ of CIE Lab (CIE 15). Lab's function of X, Y and Z is linear where their ratio to the white is at most δ³.
 _DELTA = 6.0 / 29.0
-# Accepted relative error of computed colours during the search, and for the result.
+# Accepted relative error of computed colours: during the search for a design, and for the final design.
 SEARCH_TRUNCATION, TRUNCATION = 1e-3, 1e-4
-# Natural logarithms of the exposure (common factor of all colours) that are tried for a first estimate.
+# Natural logarithms of the exposure (common factor of all colours) that are tried to estimate the best exposure.
 _LOG_EXPOSURES = np.linspace(-4.0, 14.0, 181)
 
 
@@ -157,7 +158,7 @@ class Goal:
 
     @staticmethod
     def efficiencies(target: Target, surface: HeightField | Outline, energy: str | None = None) -> Array:
-        """Return the efficiencies of all propagating orders of a target, shape (n,)."""
+        """Return the efficiencies of all orders that propagate for the light and wavelength of a target, shape (n,)."""
         optics = target.optics
         result = order_derivatives(
             surface, target.to_light, target.wavelength_nm, wrt=("height_scale",), ior=optics.ior,
@@ -267,7 +268,7 @@ def places_of(target: Target, surface: HeightField | Outline) -> NDArray[np.int6
 
 
 class silenced(warnings.catch_warnings):  # noqa: N801 (a context, like its base class)
-    """Context without the library's warnings. Warnings about trial surfaces of a search do not concern the user."""
+    """Context that hides the library's warnings, because those about trial surfaces do not concern the user."""
 
     def __enter__(self) -> None:
         """Ignore warnings."""

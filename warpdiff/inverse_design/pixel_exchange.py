@@ -38,17 +38,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.int64]
-    # Function of the levels of all pixels and of the row and column of one pixel. It returns the levels to which this
-    # pixel may change.
+    # Function of the levels of all pixels, and of the row and column of one pixel. It returns the height levels to
+    # which this pixel may change.
     Rule = Callable[[Indices, int, int], list[int]]
 
-# Largest number of passes over all pixels. The value is limited by computing time: a seventh pass would lower the loss
-# by less than 1 %.
+# Largest number of passes over all pixels, each of which tries other height levels for every pixel. The value is
+# limited by computing time: a seventh pass would lower the loss by less than 1 %.
 _MOST_SWEEPS = 6
-# Least decrease of the loss for which a pixel changes its level. The value is limited by rounding errors.
+# Least decrease of the loss for which a pixel changes its height level. The value is limited by rounding errors.
 _LEAST_GAIN = 1e-9
-# Largest number of products of complex numbers in a pass over all pixels. Larger designs are only rounded to levels.
-# The value is limited by the computing time of an exchange, about a minute.
+# Largest number of complex multiplications in a pass over all pixels, which tries other height levels for every pixel.
+# Designs that need more are only rounded to levels. The value is limited by the computing time, about a minute.
 _MOST_PRODUCTS = 2e10
 # The best depth is searched in `_REFINEMENTS` passes, each of which tries `_DEPTHS` depths with equal steps. A pass
 # after the first one covers one step of the previous pass on both sides of the best depth. Both numbers were chosen
@@ -272,7 +272,8 @@ def _powers(amplitudes: NDArray[np.complex128]) -> Array:
 def _sums(orders: Indices, pixels: int, samples: int) -> NDArray[np.complex128]:
     """Return the sums of exp(2πi·order·place) over the samples of each pixel along an axis, shape (p, pixels).
 
-    The place of a sample is its position in periods. The sums are divided by the number of all samples.
+    There is one sum for each of the p orders of the Fourier coefficients. The place of a sample is its position in
+    periods. The sums are divided by the number of all samples.
     """
     places = np.arange(samples) / samples
     distinct, which = np.unique(orders, return_inverse=True)
@@ -281,7 +282,7 @@ def _sums(orders: Indices, pixels: int, samples: int) -> NDArray[np.complex128]:
 
 
 def edge_moves(least: int) -> Rule:
-    """Return the rule by which a pixel of a single row may change its level.
+    """Return the rule that lists the levels to which a pixel of a single row may change.
 
     A run is a group of neighbouring pixels of equal level. No run becomes shorter than ``least`` pixels. Only pixels at
     the ends of runs change, to the level of the neighbouring run, so that an edge moves by a pixel.

@@ -34,8 +34,9 @@ class RigorousCheck:
     """Colours and efficiencies that a design achieves by rigorous solutions of Maxwell's equations.
 
     Attributes:
-        achieved: Table like ``Design.achieved``, with rigorous values; colours have their own fitted exposure.
-        exposure: Common factor of the colours.
+        achieved: Table like ``Design.achieved``, with rigorous values; the exposure of colours is fitted to the
+            rigorous values.
+        exposure: Common factor of all colours.
         delta_e: ΔE2000 of the colours, shape (number of colours,).
         uniformity_errors: (largest − least)/(largest + least) of each target of equal orders.
         converged: Fraction of the rigorous solutions that have converged, 0 to 1.
@@ -64,7 +65,7 @@ def rigorous_values(
 
     The change is that of an efficiency in the last doubling of the number of harmonics.
 
-    A surface with a single column is solved with x and y exchanged.
+    A surface with a single column of samples is solved with x and y exchanged.
     """
     along = "y"
     if surface.shape[1] == 1 < surface.shape[0]:

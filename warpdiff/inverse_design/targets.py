@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest number of orders of a target. The value is limited by the computing time of the exchange of pixels, which is
-# proportional to it.
+# Largest number of orders of a target. The value is limited by the time of the search, which changes single pixels and
+# sums the changes of all orders.
 _MOST_ORDERS = 100_000
-# Largest magnitude of the number of an order. The value is far above the orders that propagate for any period.
+# Largest accepted magnitude of the index of an order. The value is far above the orders that propagate for any period.
 _LARGEST_ORDER = 1e9
 # Largest accepted X and Z of a requested colour, whose Y is at most 1. No spectrum has X or Z above 200 times Y.
 _MOST_XYZ = 200.0
@@ -101,7 +101,7 @@ class Target:
         coherence: Coherence | None = None, ior: float | None = None, material: Material | None = None,
         masking: bool = True,
     ) -> Target:  # fmt: skip
-        """Request a colour of the light from one direction in another direction.
+        """Request a colour of the surface, for one direction to the light and one direction to the viewer.
 
         Colours are compared in CIE Lab with the white D65, at one exposure for all colours of a design, which is
         fitted: XYZ of :func:`warpdiff.reflectance` times the exposure shall be ``xyz``. Gratings reflect a small part
@@ -214,7 +214,7 @@ class Target:
         cls, kind: Literal["orders", "equal"], orders: Iterable[tuple[int, int]], values: Array, to_light: ArrayLike,
         wavelength_nm: float, optics: Optics, energy: Energy | None, name: str,
     ) -> Target:  # fmt: skip
-        """Return a target of orders after checks; ``name`` is the argument with the orders."""
+        """Return a target of order efficiencies after checks; ``name`` is the caller's argument with the orders."""
         pairs = validation.finite_array(_listed(orders, name), name, most=_LARGEST_ORDER)
         if pairs.ndim != 2 or pairs.shape[1] != 2 or np.any(pairs != np.rint(pairs)) or len(pairs) > _MOST_ORDERS:
             raise ArgumentValueError(
@@ -248,7 +248,7 @@ class Target:
 
 
 def _listed(orders: Iterable[tuple[int, int]], name: str) -> list[tuple[int, int]]:
-    """Return orders as a list."""
+    """Return diffraction orders as a list; raise an error if they are no sequence. ``name`` is the argument's name."""
     try:
         return list(orders)
     except TypeError:

@@ -1,9 +1,9 @@
 """Surfaces with a few parameters and their derivatives, for fits and designs, public as ``wd.profiles``.
 
-A profile has names, start values and bounds of its parameters. The method ``surface`` makes the surface from values of
-the parameters. The method ``pullback`` converts the adjoint of the surface (the derivative of a loss with respect to
-it) to the adjoints of the parameters. The method ``pushforward`` converts changes of parameters to those of the
-surface.
+A profile describes a surface by a few parameters, such as depth and period. It has names, start values and bounds of
+these parameters. The method ``surface`` makes the surface from values of the parameters. The method ``pullback``
+converts the adjoint of the surface (the derivative of a loss with respect to it) to the adjoints of the parameters. The
+method ``pushforward`` converts changes of the parameters to changes of the surface.
 
 Examples:
     >>> import warpdiff as wd

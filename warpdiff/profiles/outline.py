@@ -66,22 +66,22 @@ class Outline(ReadOnlyArrays):
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Positions of the vertices in periods, shape (k,), read-only."""
+        """Positions of the polygon's vertices along x, in periods, 0 to 1, shape (k,), read-only."""
         return self._positions
 
     @property
     def heights_um(self) -> NDArray[np.float64]:
-        """Heights of the vertices [µm], shape (k,), read-only."""
+        """Heights of the polygon's vertices [µm], shape (k,), read-only."""
         return self._heights_um
 
     @property
     def period_um(self) -> float:
-        """Period along x [µm]."""
+        """Period of the grating along x [µm]."""
         return self._period_um
 
     @property
     def height_range_um(self) -> float:
-        """Difference of the largest and the smallest height [µm]."""
+        """Height of the polygon's highest vertex minus that of its lowest vertex [µm]."""
         return float(np.ptp(self._heights_um))
 
     def height_field(self, samples: int = 1024) -> HeightField:

@@ -1,6 +1,7 @@
-"""Profiles that are outlines: polygons and trapezoids, whose duty cycles and walls are exact and differentiable.
+"""Gratings with a few parameters (profiles), whose period is a polygon or a trapezoid.
 
-The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+The positions of walls are exact, and the surface has derivatives with respect to all parameters. The adjoint of a
+quantity is the derivative of a scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations
@@ -23,22 +24,24 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Least and largest period of a fit, relative to its start value. The range is narrow, because fits that start further
-# from the true period end at wrong minima. The measured angle of an order yields a start value within 5 %.
+# Least and largest period of the grating in a fit, relative to the start value of the period. The range is narrow,
+# because fits that start further from the true period end at wrong minima. The measured angle of a diffraction order
+# gives a start value within 5 % of the true period.
 _PERIOD_RANGE = 0.95, 1.05
-# Upper bound of a depth, relative to its start value. The random starts of a fit lie between the bounds. A factor of 3
-# was chosen because more of the starts end at wrong minima with a larger factor.
+# Upper bound of the depth of the grating in a fit, relative to the start value of the depth. The random starts of a fit
+# lie between the bounds of the parameters. A factor of 3 was chosen because more of the starts end at wrong minima with
+# a larger factor.
 _DEPTH_RANGE = 3.0
-# Rounding error of a vertex position [periods]. Vertices that are out of order, or outside of the period, by at most
-# this distance are moved to the nearest valid position.
+# Largest rounding error of the position of a polygon's vertex [periods]. Vertices that are out of order, or outside of
+# the period, by at most this distance are moved to the nearest valid position.
 _ROUNDING = 1e-9
-# The upper bound of the width of a wall is at least this value [periods]. It is above 0, so that a fit that starts from
-# vertical walls (width 0) can make them sloped.
+# In a fit, the upper bound of the width of a grating's sloped walls is at least this value [periods]. It is above 0, so
+# that a fit that starts from vertical walls (width 0) can make them sloped.
 _WIDEST_WALL = 0.05
 
 
 class _OutlineProfile(Profile):
-    """Profile with outlines as surfaces; their vertices are linear in all parameters but the last one, the period."""
+    """Grating with a polygon as its period; the vertices are linear functions of all parameters except the period."""
 
     def __init__(
         self, names: tuple[str, ...], start: list[float], bounds: list[list[float]], base: Array, modes: Array,
@@ -61,11 +64,11 @@ class _OutlineProfile(Profile):
 
     @property
     def wrt(self) -> tuple[str, ...]:
-        """Names of the variables of the surface that depend on the parameters."""
+        """Names of the properties of the surface that depend on the parameters, as ``warpdiff.adjoint`` names them."""
         return ("vertices", "period_um")
 
     def surface(self, x: ArrayLike) -> Outline:
-        """Return the outline for parameters, shape (p,)."""
+        """Return the polygon of the grating for the parameter values ``x``, shape (p,)."""
         values = self.check(x)
         vertices = self._base + np.tensordot(values[:-1], self._modes, axes=1)
         positions = np.clip(vertices[:, 0], 0.0, 1.0)
@@ -79,25 +82,26 @@ class _OutlineProfile(Profile):
         return Outline(positions, vertices[:, 1], float(values[-1]))
 
     def height_field(self, x: ArrayLike) -> HeightField:
-        """Return the outline for parameters, shape (p,), as a height field with equally spaced samples."""
+        """Return the grating for the parameter values ``x``, shape (p,), as a height field for pictures."""
         return self.surface(x).height_field()
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints (derivatives of a loss) of the parameters ``x``, from those of vertices and period."""
+        """Return the adjoints (derivatives of a loss) of the parameters, from those of the vertices and the period."""
         self.check(x)
         return np.append(np.tensordot(self._modes, adjoints["vertices"], axes=2), adjoints["period_um"])
 
     def pushforward(self, x: ArrayLike, dx: ArrayLike) -> dict[str, Array]:
-        """Return the changes of the vertices and the period for a change of the parameters, shape (p,)."""
+        """Return the changes of the vertices and of the period for a change ``dx`` of the parameters, shape (p,)."""
         self.check(x)
         change = self.check(dx)
         return {"vertices": np.tensordot(change[:-1], self._modes, axes=1), "period_um": np.asarray(change[-1])}
 
 
 class Polygon(_OutlineProfile):
-    """Vertices of a polygon as parameters: positions and heights of all vertices but the first, and the period.
+    """Grating whose period is a polygon; the parameters are its vertices, except the first vertex, and the period.
 
-    The first vertex is fixed, because a shift of the whole polygon along x changes no efficiency.
+    Each vertex has two parameters, its position and its height. The first vertex is fixed, because a shift of the whole
+    polygon changes no efficiency of a diffraction order.
 
     Args:
         vertices: Start values of positions [periods] and heights [µm], shape (k, 2), in the order of the positions.
@@ -122,8 +126,8 @@ class Polygon(_OutlineProfile):
         names = tuple(f"{name}[{k}]" for k in range(1, count) for name in ("position", "height_um"))
         bounds = []
         for k in range(1, count):
-            # Each position may move by less than half of the distance to its neighbours, so that vertices remain in
-            # order.
+            # The position of each vertex may change by less than half of its distance to the neighbouring vertices, so
+            # that the vertices remain in order.
             gaps = np.diff(
                 np.concatenate([array[: k + 1, 0][-2:], array[k + 1 : k + 2, 0] if k + 1 < count else [1.0]])
             )
@@ -190,7 +194,7 @@ class Trapezoid(_OutlineProfile):
         super().__init__(("depth_um", "duty", "wall"), start, bounds, base, modes, period_um)
 
     def equivalents(self, x: Array) -> list[Array]:
-        """Return the parameters with the duty cycle 1 − duty, which give the same efficiencies."""
+        """Return the parameters with the duty cycle 1 − duty, which give the same efficiencies of all orders."""
         other = x.copy()
         other[1] = 1.0 - x[1]
         return [other]

@@ -1,4 +1,4 @@
-"""``Profile``: a surface with a few parameters, on which its heights or vertices depend linearly."""
+"""``Profile``: base class of surfaces whose heights or vertices depend linearly on a few parameters."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest difference between the height of a sample or vertex and its start value [µm]. Larger differences would make
-# slopes that are too steep for scalar diffraction.
+# Largest change of the height of a sample or of a polygon's vertex in a fit or a design, from its start value [µm].
+# Larger changes would make slopes that are too steep for scalar diffraction.
 HEIGHT_MARGIN_UM = 10.0
 
 
@@ -56,7 +56,7 @@ class Profile(ABC):
     @property
     @abstractmethod
     def wrt(self) -> tuple[str, ...]:
-        """Names of the surface's variables that depend on the parameters: the argument ``wrt`` of ``wd.adjoint``."""
+        """Properties of the surface that depend on the parameters, by name: the argument ``wrt`` in ``wd.adjoint``."""
 
     @abstractmethod
     def surface(self, x: ArrayLike) -> HeightField | Outline:
@@ -68,22 +68,22 @@ class Profile(ABC):
 
     @abstractmethod
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoints of the surface's variables.
+        """Return the adjoints of the parameters, shape (p,), from the adjoints of the surface's heights or vertices.
 
         The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
         """
 
     @abstractmethod
     def pushforward(self, x: ArrayLike, dx: ArrayLike) -> dict[str, Array]:
-        """Return the changes of the surface's variables for a change ``dx`` of the parameters ``x``, shape (p,)."""
+        """Return the changes of the surface's heights or vertices for a change ``dx`` of the parameters, shape (p,)."""
 
     def equivalents(self, x: Array) -> list[Array]:
-        """Return other parameters with the same order efficiencies, which a measurement of orders cannot exclude."""
+        """Return other parameters with equal efficiencies of all orders, which measured efficiencies cannot exclude."""
         del x
         return []
 
     def check(self, x: ArrayLike) -> Array:
-        """Return parameters as an array of shape (p,); raise ``ValueError`` for another shape."""
+        """Return the parameters ``x`` as an array of shape (p,); raise ``ValueError`` if they have another shape."""
         array = validation.finite_array(x, "x")
         if array.shape != self.start.shape:
             raise ArgumentValueError(

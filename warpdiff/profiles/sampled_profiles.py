@@ -1,4 +1,4 @@
-"""Profiles that are height fields. Their parameters are all samples, square pixels, or scale, tilt and bow of a scan.
+"""Height fields with parameters (profiles): all samples, square pixels, or scale, tilt and bow of a scan.
 
 The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class _SampledProfile(Profile):
-    """Profile with height fields of a fixed pitch as surfaces; their heights are linear in the parameters."""
+    """Height field of a fixed pitch, whose heights are linear functions of the parameters."""
 
     def __init__(
         self, names: tuple[str, ...], start: ArrayLike, bounds: ArrayLike, pitch_um: tuple[float, float]
@@ -34,15 +34,15 @@ class _SampledProfile(Profile):
 
     @property
     def wrt(self) -> tuple[str, ...]:
-        """Names of the variables of the surface that depend on the parameters."""
+        """Names of the properties of the surface that depend on the parameters: only its heights."""
         return ("heights_um",)
 
     def surface(self, x: ArrayLike) -> HeightField:
-        """Return the height field for parameters, shape (p,)."""
+        """Return the height field for the parameter values ``x``, shape (p,)."""
         return HeightField.of_known_scale(self._heights(self.check(x)), self._pitch_um)
 
     def height_field(self, x: ArrayLike) -> HeightField:
-        """Return the height field for parameters, shape (p,)."""
+        """Return the height field for the parameter values ``x``, shape (p,)."""
         return self.surface(x)
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
@@ -51,13 +51,13 @@ class _SampledProfile(Profile):
         return self._transposed(adjoints["heights_um"])
 
     def pushforward(self, x: ArrayLike, dx: ArrayLike) -> dict[str, Array]:
-        """Return the change of the heights for a change of the parameters, shape (p,)."""
+        """Return the changes of the heights for a change ``dx`` of the parameters, shape (p,)."""
         self.check(x)
         return {"heights_um": self._heights(self.check(dx))}
 
     @abstractmethod
     def _heights(self, x: Array) -> Array:
-        """Return the heights [µm], shape (ny, nx), for parameters, shape (p,)."""
+        """Return the heights [µm], shape (ny, nx), for the parameter values ``x``, shape (p,)."""
 
     @abstractmethod
     def _transposed(self, heights: Array) -> Array:
@@ -95,7 +95,7 @@ class Samples(_SampledProfile):
 class Pixels(_SampledProfile):
     """Heights of square pixels as parameters, row by row.
 
-    A single row is a grating that is constant along y, and a single column one that is constant along x.
+    A single row of pixels makes a grating that is constant along y, and a single column one that is constant along x.
 
     Args:
         pixel_um: Size of a pixel [µm].

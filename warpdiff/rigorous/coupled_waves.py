@@ -1,4 +1,4 @@
-"""Coupled-wave solutions of one-dimensional reliefs by meent, which is checked on a flat surface before use.
+"""Coupled-wave solutions of one-dimensional reliefs by the package meent, which is tested on a flat surface first.
 
 The relief is cut into layers that are constant along z. Coupled-wave analysis (Moharam and Gaylord 1995) expands the
 electric and magnetic fields in each layer as Fourier series along x with the orders (harmonics) −N to N. For p
@@ -28,18 +28,20 @@ if TYPE_CHECKING:
 # Power that returns from the lower end of the layer that replaces an absorbing substrate, relative to the power that
 # enters the layer. The value was chosen so that this power is about as small as rounding errors.
 _RETURNED = 1e-13
-# Imaginary part k of the index of refraction up to which a substrate counts as transparent. A substrate with larger k
-# is replaced by a layer that absorbs all light. For smaller k, this layer would be about 1 cm thick or thicker.
+# A substrate counts as transparent if the imaginary part k of its index of refraction is at most this value. A
+# substrate with larger k is replaced by a layer that absorbs all light. For smaller k, this layer would be about 1 cm
+# thick or thicker.
 _TRANSPARENT = 1e-4
 # Largest accepted difference between the solver's reflectance of a flat surface and that of Fresnel's equations. The
 # value is far above rounding errors of float64.
 _FLAT_ERROR = 1e-6
-# The solver is checked with a flat layer: thickness of this layer [µm], and largest order N of the Fourier series.
+# Before use, the solver is tested on a flat layer: thickness of this layer [µm], and largest order N of the Fourier
+# series of the electric and magnetic fields.
 _FLAT_UM, _FLAT_HARMONICS = 0.1, 2
 
 
 class Solution(NamedTuple):
-    """Efficiencies of the reflected and of the transmitted orders −N to N, shape (2N + 1,) each."""
+    """Efficiencies of the reflected and of the transmitted diffraction orders −N to N, shape (2N + 1,) each."""
 
     reflected: Array
     transmitted: Array
@@ -95,8 +97,8 @@ def solve(
     meent = load_meent()
     below, bottom = [], index.real
     if index.imag > _TRANSPARENT:
-        # The light crosses the layer twice, and its power decreases with the path z as exp(−4πkz/λ). The thickness is
-        # such that the power `_RETURNED` remains.
+        # This layer replaces an absorbing substrate. Light crosses the layer twice, and its power decreases with the
+        # path z as exp(−4πkz/λ). The thickness is such that the fraction `_RETURNED` of the power remains.
         below = [-math.log(_RETURNED) * wavelength_um / (8.0 * math.pi * index.imag)]
         bottom = 1.0
     count = len(layers[0]) if layers else 2

@@ -33,12 +33,14 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# The number N of harmonics is doubled until the efficiency of no order changes by more than `_CHANGE`, a fraction of
-# the incident power. For periods above `_LONG_PERIOD` wavelengths, which have many weak orders, the limit is
-# `_CHANGE_OF_LONG_PERIODS`. Both limits were chosen as the accuracy of published tables of efficiencies.
+# The number N of harmonics, the orders of the Fourier series of the fields, is doubled until the efficiency of no
+# diffraction order changes by more than `_CHANGE`, a fraction of the incident power. For periods above `_LONG_PERIOD`
+# wavelengths, which have many weak orders, the limit is `_CHANGE_OF_LONG_PERIODS`. Both limits were chosen as the
+# accuracy of published tables of efficiencies.
 _CHANGE, _CHANGE_OF_LONG_PERIODS, _LONG_PERIOD = 5e-3, 1e-2, 20.0
-# The first number N of harmonics is `_FIRST` times the highest order that propagates, plus `_BEYOND`. Both were chosen
-# because with fewer harmonics, the first doubling always changes the efficiencies too much.
+# The solver begins with N harmonics of the fields. N is `_FIRST` times the highest diffraction order that propagates,
+# plus `_BEYOND`. Both were chosen because with fewer harmonics, the first doubling of N always changes the efficiencies
+# too much.
 _FIRST, _BEYOND = 1.25, 6
 # Largest component of the unit vector to the light along the grooves that counts as 0. The value is limited by rounding
 # errors.
@@ -215,7 +217,7 @@ def rigorous_order_efficiencies(
 
 
 def _warn_of_harmonics(harmonics: NDArray[np.int64], changes: Array, converged: NDArray[np.bool_]) -> None:
-    """Warn of wavelengths without convergence; state by how much efficiencies changed in the last doubling of N."""
+    """Warn of wavelengths without convergence; state how much efficiencies changed when N was last doubled."""
     once, twice = ~converged & np.isinf(changes), ~converged & np.isfinite(changes)
     reasons = []
     if twice.any():

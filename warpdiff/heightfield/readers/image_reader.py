@@ -58,7 +58,7 @@ _OF_HEIGHTS = ImageRemedies(
     states="integers: you state the height of the full scale and the pitch; floats: µm, you state the pitch",
 )  # fmt: skip
 def read_image(file: Path) -> FileContent:
-    """Read a grey image without a conversion of its samples."""
+    """Read the heights from a grey image; its samples are not converted."""
     return FileContent(image_samples(file))
 
 
@@ -89,7 +89,7 @@ def _samples_of(image: Any, file: Path, remedies: ImageRemedies) -> np.ndarray:
         kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
         raise refusal(file, f"is {kind}; {remedies.channels}")
     require_memory(file, (spec.height, spec.width), _BYTES_PER_SAMPLE)
-    # The type "unknown" means the type of the samples in the file, so that OpenImageIO does not convert them.
+    # The argument "unknown" makes OpenImageIO return the samples in the type that they have in the file.
     samples = image.read_image("unknown")
     if samples is None or image.has_error:
         raise refusal(file, f"is damaged ({openimageio.error_text(image)}); export the image again")

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Rows = Literal["down", "up"]
-# Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. A reader
-# that confuses the units of a file returns such sizes. If doubled, a few more of these wrong sizes are accepted.
+# A file is refused if its height field is wider or higher than this [µm]: 1 m, larger than the field of any instrument.
+# A reader that confuses the units of a file returns such sizes. If doubled, a few more of these wrong sizes are
+# accepted.
 _MOST_EXTENT_UM = 1e6
 # Largest accepted difference between the pitch that a file states and the pitch that the caller states, relative to the
 # pitch. Small differences are accepted, because the numbers in a file are rounded; the pitch of the file is then used.
@@ -183,7 +184,7 @@ def existing(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def _naming(file: Path) -> Iterator[None]:
-    """Add the name of the file to those errors of a reader whose messages do not contain this name."""
+    """Add the name of the file to each error of a reader whose message does not contain this name."""
     try:
         yield
     except (ArgumentValueError, ArgumentTypeError):
@@ -299,7 +300,7 @@ def clipped_share(samples: NDArray[Any]) -> float:
 
 
 def _because(reason: str) -> str:
-    """Return the reason why a line of a file was not read, in the form in which it continues an error message."""
+    """Return the reason why a line of a file was not read, in the form that continues an error message."""
     return f" (header: {reason})" if reason else ""
 
 
@@ -387,6 +388,7 @@ def _is_too_large(shape: tuple[int, int], pitch_um: object) -> bool:
     try:
         pitch = validation.pair(pitch_um, "pitch_um")
     except (ArgumentValueError, ArgumentTypeError):
-        # A pitch that is no pair of positive numbers is refused later, by the constructor of `HeightField`.
+        # A pitch that is no positive number or pair of such numbers is refused later, by the constructor of
+        # `HeightField`.
         return False
     return any(n * step > _MOST_EXTENT_UM for n, step in zip(shape, pitch, strict=True))

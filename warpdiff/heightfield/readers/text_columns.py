@@ -1,4 +1,4 @@
-"""Headings of the columns of points in text exports: positions x and y, or rows and columns, and heights."""
+"""Headings of columns in text files of points: the columns of positions x and y (or row and column), and of heights."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.text_table import Form
 
-# Words in headings of columns, by the axis that they name. Rows and lines are counted along y, columns and pixels of a
-# line along x.
+# Words in the headings of columns in a text file, by the axis that they mean. Rows and lines are counted along y,
+# columns and pixels of a line along x.
 _AXES = {
     **dict.fromkeys(("x", "ix", "xi"), "x"), **dict.fromkeys(("y", "iy", "yi"), "y"), "z": "z",
     **dict.fromkeys(("row", "rows", "line", "zeile", "ligne", "riga", "fila", "linha", "行"), "row"),
@@ -33,7 +33,7 @@ class Columns:
     Attributes:
         positions: Indices of the columns of x, y and z.
         units: Sizes of the units of x, y and z [µm]; None for a column without a unit.
-        counts_rows: Whether y is a row number, which is counted from the top of the picture.
+        counts_rows: Whether y is the index of a row, which is counted from the top of the picture.
         names_z: Whether a heading names the column of heights. Otherwise the heights are the only column that is not x
             or y.
     """
@@ -45,7 +45,7 @@ class Columns:
 
 
 def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
-    """Return the columns of x, y and z by headings in the last header lines; None if there are no such headings."""
+    """Return the columns of x, y and z by the headings in the last header lines; None if no headings name them."""
     lines = [line for line in header[-3:] if len(line) <= text_header.MOST_LENGTH]
     for index in range(len(lines) - 1, -1, -1):
         for cells in _cells(lines[index], form):
@@ -83,7 +83,7 @@ def unclear_headings(header: Sequence[str], form: Form, width: int) -> list[str]
 
 
 def _axis_of(cell: str) -> str:
-    """Return the axis that a heading names: "x", "y", "z", "row", "column", or an empty string."""
+    """Return the axis that the heading of a column names: "x", "y", "z", "row", "column", or an empty string."""
     words = re.findall(r"[^\W\d_]+", _without_unit(cell).lower())
     axes = {_AXES[word] for word in words if word in _AXES}
     if axes & {"x", "y"}:
@@ -92,7 +92,7 @@ def _axis_of(cell: str) -> str:
 
 
 def _without_unit(cell: str) -> str:
-    """Return a heading without its unit, as in "x [µm]", "x_um" and "x/um"."""
+    """Return the heading of a column without the unit in it, as in "x [µm]", "x_um" and "x/um"."""
     return re.sub(r"[\[(].*|/.*|\bin\b.*|_[^_]*$", "", cell) or cell
 
 
@@ -119,7 +119,7 @@ def _unit_of_cell(cell: str, *, is_alone: bool) -> float | None:
 
 
 def unit_of_corner(cell: str) -> float | None:
-    """Return the size [µm] of the unit in the corner of a table with axes, such as "x / y [µm]"; None without unit."""
+    """Return the size [µm] of the unit in the top left corner of a table, such as "x / y [µm]"; None without a unit."""
     words = re.findall(r"[^\W\d_]+", text_keys.IN_KEY.sub(" ", cell).lower())
     is_position = bool(words) and {_AXES.get(word) for word in words} <= {"x", "y"}
     return text_keys.unit_in_key(cell)[0] if is_position else None

@@ -1,4 +1,4 @@
-"""Facts in the header of a text export of heights, and the pitch, missing samples and unit that follow from them."""
+"""Facts in the header of a text file of heights, and the pitch, missing samples and unit that follow from them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from warpdiff.heightfield.readers.reader_registry import refusal
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Largest relative difference at which two statements of the same length count as equal. If doubled, more contradictions
-# are accepted.
+# A header may state a length twice. Both statements count as equal up to this relative difference. If doubled, more
+# contradictions are accepted.
 MOST_DIFFERENCE = 1e-3
 # Largest ratio of the pitches along x and y that is accepted from a header. A larger ratio suggests that a "height" in
 # the header is the range of the heights and not a size. If doubled, more ranges of heights are mistaken for sizes.
@@ -77,15 +77,15 @@ class Facts:
     _stated: dict[str, list[tuple[bool, float, str]]] = field(default_factory=dict)
 
     def add(self, name: str, length: float, line: str, *, names_axis: bool) -> None:
-        """Add the length that a header line states for the fact ``name``, a size or a pitch.
+        """Add the length that a header line states for ``name``, the size or the pitch along an axis.
 
         ``names_axis`` is whether the key of the line names x or y. Keys such as "Height" or "Spacing" name no axis.
-        Lines with such keys are ignored if another line states the same fact with a key that names an axis.
+        Lines with such keys are ignored if another line states the same size or pitch with a key that names an axis.
         """
         self._stated.setdefault(name, []).append((names_axis, length, line))
 
     def decide(self) -> None:
-        """Set each size and pitch for which the header lines state equal lengths; contradictory lines set nothing."""
+        """Set each size and pitch for which the header lines state equal lengths; note the lines that contradict."""
         for name, statements in self._stated.items():
             strongest = max(names_axis for names_axis, *_ in statements)
             strong = sorted((length, line) for names_axis, length, line in statements if names_axis == strongest)

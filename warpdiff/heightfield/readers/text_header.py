@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_statements import Signs, Statement
     from warpdiff.heightfield.readers.text_table import Form
 
-# Number of header lines that are searched for facts (sizes, units, a channel): the last lines before the numbers.
+# Number of header lines that are searched for facts such as sizes and units: the last lines before the numbers.
 _MOST_LINES = 400
-# Number of characters above which a header line is not searched for facts. The value was chosen because longer lines
-# are free text.
+# A header line with more characters than this is not searched for facts such as sizes, because longer lines are free
+# text.
 MOST_LENGTH = 400
-# Number of numbers in a header line above which the line is not a statement of sizes, but a row of a table.
+# A header line with more numbers than this value states no sizes; it is a row of a table.
 _MOST_NUMBERS = 4
 _WHOLE = re.compile(r"\d{1,9}(?:\.0*)?")
 _CHANNEL = re.compile(
@@ -86,7 +86,7 @@ def _plain(line: str, form: Form) -> str:
 def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) -> float | None:
     """Add to ``facts`` the numbers that a header line states, such as a size or a number of columns.
 
-    If the words before the number are no known key, and the number is a length, return it [µm]; otherwise None.
+    If the words before a single number are no known key, and the number is a length, return it [µm]; otherwise None.
     """
     if text_keys.states_no_data(statement.words):
         _add_no_data(facts, statement, line, signs)
@@ -114,7 +114,7 @@ def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) 
 
 
 def _are_counts(statement: Statement, facts: Facts) -> bool:
-    """Whether all numbers of a statement in a header line are whole and have no unit."""
+    """Whether all numbers in a header line are whole and have no unit, as numbers of rows and columns do."""
     units = statement.units(facts.lateral if statement.key.kind != "count" else None)
     return all(
         unit is None and measure.counts != "other" and _WHOLE.fullmatch(measure.number)
@@ -123,7 +123,7 @@ def _are_counts(statement: Statement, facts: Facts) -> bool:
 
 
 def _add_counts(facts: Facts, statement: Statement, line: str) -> None:
-    """Add to ``facts`` the numbers of columns and rows that a line states, if it is clear which number is which."""
+    """Add to ``facts`` the numbers of columns and rows that a header line states, if it is clear which is which."""
     key, measures = statement.key, statement.measures
     axes = ["x" if measure.counts == "columns" else "y" if measure.counts == "rows" else "" for measure in measures]
     if not any(axes):

@@ -1,4 +1,4 @@
-"""Keys of lines "key: value" in headers of text exports, by the fact that they state: sizes, pitches, counts, units."""
+"""Keys of header lines "key: value" in text files of heights, by the fact that they state, such as size or unit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from warpdiff.heightfield.readers import length_units
 Kind = Literal["size", "pitch", "count", "size or count", ""]
 Axis = Literal["x", "y", ""]
 
-# Matches the letters of a unit of length, with both Unicode characters of µ.
+# Matches a word that may be a unit of length, with both Unicode characters of µ.
 UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
 # Matches the unit in a key, such as "Width (µm)", "X length in µm" or "Size X/µm".
 IN_KEY = re.compile(
@@ -20,7 +20,7 @@ IN_KEY = re.compile(
 
 
 def _names(*lines: str) -> frozenset[str]:
-    """Return the set of keys in strings; vertical bars separate the keys of a string."""
+    """Return the set of keys of header lines that a string lists, separated by vertical bars."""
     return frozenset("|".join(lines).split("|"))
 
 
@@ -104,7 +104,7 @@ class Key(NamedTuple):
 
 
 def words_of(key: str) -> str:
-    """Return a key in the form in which keys are listed here: in lower case, without units, hyphens and underscores."""
+    """Return a key in the form of the lists of keys: in lower case, without units, hyphens and underscores."""
     match = IN_KEY.search(key)
     if match is not None and (match["bracket"] or length_units.factor_of(match["word"]) is not None):
         key = f"{key[: match.start()]} {key[match.end() :]}"
@@ -142,7 +142,7 @@ def key_of(text: str, *, per_pixel: bool = False) -> Key:
 
 
 def _axis_and_base(text: str) -> tuple[Axis, str]:
-    """Return the axis that a key names, an empty string for none, and the key without this axis."""
+    """Return the axis that the key of a header line names, an empty string for none, and the key without this axis."""
     axes, base = [], []
     for word in text.split():
         glued = _GLUED.fullmatch(word)
@@ -165,25 +165,25 @@ def unit_in_key(key: str) -> tuple[float | None, bool]:
 
 
 def states_unit_z(words: str, *, is_plain: bool) -> bool:
-    """Whether a key states the unit of the heights. Keys such as "z" do so if their value has no number (is plain)."""
+    """Whether a key states the unit of heights. Keys such as "z" do so only if the value has no number (is plain)."""
     return words in _UNITS_Z or (is_plain and words in _WEAK_UNITS_Z)
 
 
 def states_unit_xy(words: str) -> bool:
-    """Whether a key states the unit of the positions x and y."""
+    """Whether the key of a header line states the unit of the positions x and y."""
     return _UNITS_XY.fullmatch(words) is not None
 
 
 def states_factor(words: str) -> bool:
-    """Whether a key states a factor by which the numbers of the file are multiplied to give heights."""
+    """Whether the key of a header line states a factor between the numbers of the file and the heights."""
     return words in _FACTORS or _FACTOR_OF_HEIGHTS.search(words) is not None
 
 
 def states_no_data(words: str) -> bool:
-    """Whether a key states the code or the number of missing samples."""
+    """Whether the key of a header line states the code of missing samples, or how many samples are missing."""
     return _NO_DATA.search(words) is not None
 
 
 def states_code(words: str) -> bool:
-    """Whether a key about missing samples states their code, and not how many samples are missing."""
+    """Whether the key of a header line about missing samples states their code, and not their number."""
     return _CODE.search(words) is not None

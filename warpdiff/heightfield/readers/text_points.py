@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_facts import Facts
     from warpdiff.heightfield.readers.text_table import Block
 
-# Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
+# Number of the line, counted from 1, in which a text file of Zygo instruments states the size of a pixel.
 _ZYGO_LINES = 8
 # Points x, y, z count as a grid only if more than this fraction of all positions (x, y) of the grid have a point. The
 # points of a hexagonal lattice are on one half of the positions of a rectangular grid, and must not be taken for one.
 _MOST_EMPTY = 0.5
 
-# Even grid of points: for x and then for y, the coordinates of all columns or rows of the grid, and the distance
-# between two of them, in the unit of the text.
+# Even grid on which points lie: a pair for x and a pair for y. A pair has the coordinates of all columns (or rows) of
+# the grid, and the distance between two of them, in the unit of the text file.
 _Grid = tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]
 
 
@@ -91,7 +91,8 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
     elif unit_x is not None and unit_y is not None:
         pitch = unit_y * dy, unit_x * dx
     elif facts.has_scale and dx == dy == 1.0:
-        # Positions with a step of 1 and no unit are indices of the samples. The pitch then comes from the header.
+        # If the positions of points have a step of 1 and no unit, they are indices of samples. The pitch then comes
+        # from the header.
         pitch, why_no_pitch = text_facts.pitch_of(facts, *heights.shape[::-1])
     else:
         own = dy, dx

@@ -1,7 +1,7 @@
 """Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
 
-One procedure reads the exports of all programs. The procedure tries several separators and decimal signs, and uses the
-pair that gives the most numbers. Units come from the header and are never guessed.
+One procedure reads the text files of all programs. It tries several separators and decimal signs, and uses the
+combination that gives the most numbers. Units come from the header of the file and are never guessed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_facts import Facts
     from warpdiff.heightfield.readers.text_table import Block, Form
 
-# Measured peak memory [bytes] while a text is read, per byte of a text whose numbers have one digit each. If doubled,
-# texts that fit into memory are refused.
+# Measured peak memory while a text file is read [bytes per byte of the file], for a file whose numbers have one digit
+# each. If doubled, files that fit into memory are refused.
 _BYTES_PER_LETTER = 18.0
 # Largest number of rows for which three columns of numbers, without a header, are read as a matrix. If there are more
 # rows, the numbers are probably points x, y, z or a list, and not a scan that is three samples wide.
@@ -56,8 +56,9 @@ def read_text(file: Path) -> FileContent | Channels:
     if lines[0].startswith("Wyko ASCII"):
         raise refusal(file, "is a Wyko ASCII export, whose lines run along y, without a unit; save it as .opd")
     use = text_table.decimal_use(lines, form)
-    # The rows of numbers may not show whether a comma in the header is a decimal sign. This is the case if no number
-    # has a decimal sign, or if three digits follow the comma in all numbers, so that it may separate thousands.
+    # If the header contains a comma, the rows of numbers may not show whether it is a decimal sign. They do not show it
+    # if no number has a decimal sign, or if three digits follow the comma in all numbers, so that it may separate
+    # thousands.
     is_open = use == "none" or (use == "all" and form.decimal == ",")
     signs = Signs("" if is_open else form.decimal, form.thousands)
     blocks = text_table.blocks_of(lines, form)
@@ -286,7 +287,7 @@ def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _is_counted(values: np.ndarray) -> bool:
-    """Whether values are consecutive whole numbers that begin with 0 or 1."""
+    """Whether values are consecutive whole numbers that begin with 0 or 1, as indices of rows or columns do."""
     return values[0] in (0.0, 1.0) and np.array_equal(values, values[0] + np.arange(len(values)))
 
 

@@ -1,4 +1,4 @@
-"""Statements in header lines of text exports: a key with one number or two, which have units and axes."""
+"""Statements in header lines of text files, such as "Size: 5 µm x 4 µm": a key, and one or two numbers with units."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _UNIT = re.compile(
 _STRANGE_UNIT = re.compile(r"\s*[^\s\d,;:=()\[\]|/×*+\-–—….~]")
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels", "pts", "points", "samples", "píxeles", "pixeles"))
 _COLUMNS, _ROWS = frozenset(("columns", "cols")), frozenset(("rows", "lines"))
-# Words between two numbers of a pair that are neither a unit nor a key, such as "x" and "by".
+# Words that may occur between the two numbers of a size, such as "x" and "by"; they are neither units nor keys.
 _LINKS = frozenset(("x", "y", "by", "to", "and", "und", "et", "along", "in", "per", "axis", "direction", "at", "of"))
 _PRODUCT = re.compile(r"\s*(?:[x×*]|by)\s*", re.IGNORECASE)
 _LABEL = r"[(\s:]*(?:along |in )?\b([xy])\b(?:[ -](?:axis|direction))?[)\s]*[:=]?\s*"
@@ -40,13 +40,13 @@ _LATER_LABEL = re.compile(rf"(?:[\s,;()]|\band\b)*{_LABEL}$", re.IGNORECASE)
 _LABEL_BEHIND = re.compile(_LABEL, re.IGNORECASE)
 _WORDS_X = "x|width|breite|w|columns|points|pixels|horizontal"
 _WORDS_Y = "y|height|höhe|h|rows|lines|vertical"
-# Matches text that says which of two numbers is along x, such as "(height x width)", "(x, y)" or "X/Y".
+# Matches text that says which of the two numbers of a size is along x, such as "(height x width)", "(x, y)" or "X/Y".
 _ORDER = re.compile(
     rf"[(\[]?\b(?:(?P<x>{_WORDS_X})\s*[x×*,/]\s*(?:{_WORDS_Y})|(?P<y>{_WORDS_Y})\s*[x×*,/]\s*(?:{_WORDS_X}))\b[)\]]?",
     re.IGNORECASE,
 )
-# Matches two words in brackets that are not names of x and y, such as "(slow x fast)". They say which of two numbers is
-# along which axis.
+# Matches two words in brackets that do not name x and y, such as "(slow x fast)". They state the order of the two
+# numbers of a size, but not which of them is along x.
 _OTHER_ORDER = re.compile(r"[(\[]\s*\w+\s*[x×*,/]\s*\w+\s*[)\]]", re.IGNORECASE)
 _CLOSE_PRODUCT = re.compile(r"(?<=\d)\s*([x×*])\s*(?=\d)", re.IGNORECASE)
 _TOLERANCE = re.compile(rf"(?:±|\+/-)\s*{NUMBER}\s*(?:{UNIT})?")
@@ -132,12 +132,12 @@ class Statement:
 
     @property
     def words(self) -> str:
-        """Key of the statement, without units, axes, and words in brackets that name the order of two numbers."""
+        """Key of the header line, without units, axes, and words in brackets that name the order of two numbers."""
         return text_keys.words_of(_ORDER.sub(" ", self.text))
 
     @property
     def key(self) -> Key:
-        """Meaning of the text before the numbers: a size, a pitch or a number of samples, and its axis."""
+        """Meaning of the key in a header line: a size, a pitch or a number of samples, and its axis."""
         per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
         key = text_keys.key_of(self.words, per_pixel=per_pixel)
         # Words such as "(x, y)", which name the order of two numbers, also name the axes of a key such as "Step".
@@ -150,7 +150,7 @@ class Statement:
 
     @property
     def has_two_units(self) -> bool:
-        """Whether the key and a number have different units."""
+        """Whether the key of a header line and one of its numbers have different units."""
         of_key = self._unit_of_key()[0]
         return of_key is not None and any(measure.unit not in (None, of_key) for measure in self.measures)
 
@@ -172,13 +172,13 @@ class Statement:
         return result[::-1]
 
     def without(self, measures: Sequence[Measure]) -> Statement:
-        """Return the statement without some of its numbers; the texts after these numbers become part of the tail."""
+        """Return the statement without some of its numbers; if one number remains, all later texts become its tail."""
         rest = [measure for measure in self.measures if measure not in measures]
         tail = self.tail if len(rest) > 1 else "".join([*self.between, self.tail])
         return Statement(self.text, rest, self.between[: len(rest) - 1], tail)
 
     def axes(self) -> list[Axis] | None:
-        """Return the axis of each number, an empty string if a number is for both axes; None if this is unclear."""
+        """Return the axis of each number in a header line, an empty string for both axes; None if this is unclear."""
         named = self.key.axis
         if len(self.measures) == 1:
             behind = _LABEL_BEHIND.match(self.tail)
@@ -219,14 +219,14 @@ def statements_of(line: str) -> Iterator[Statement]:
 
 
 def _states_key(text: str, measure: Measure) -> bool:
-    """Whether the text between two numbers is a known key of the second number."""
+    """Whether the text between two numbers of a header line is a known key, to which the second number belongs."""
     words = text_keys.words_of(text)
     is_resolution = measure.per_pixel and len(words.split()) > 1
     return bool(text_keys.key_of(words).kind) or (is_resolution and text_keys.key_of(words, per_pixel=True).names_axis)
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Split the text between two numbers into the text that belongs to the first and the key of the second number."""
+    """Split the text between two numbers into text that belongs to the first, and the key of the second number."""
     match = re.search(r"^(.*?(?:[,;|\t)]|\s{2,}))([^,;|\t]*)$", text)
     return (match[1], match[2]) if match is not None and match[2].strip(" :=)") else ("", text)
 

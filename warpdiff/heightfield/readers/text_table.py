@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Size of the decompressed text above which a file is refused [bytes]: 100 million numbers of ten characters. The limit
-# also stops small compressed files that expand to very large texts.
+# A file is refused if its decompressed text is larger than this size [bytes]: 100 million numbers of ten characters.
+# The limit also stops small compressed files that expand to very large texts.
 MOST_BYTES = 1 << 30
 # The separator and the decimal sign of a text are found by trials on a sample of its lines. The sample has at most
 # `_SAMPLE_LINES` lines and `_SAMPLE_CHARACTERS` characters. If doubled, the trials take twice as long and have the same
@@ -66,13 +66,14 @@ _FORMS: tuple[tuple[str | None, str], ...] = (
 # thousands sign. A no-break space also stands for other kinds of spaces, and is not tried if white space separates the
 # numbers.
 _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
-# Positions of points are assigned to an evenly spaced axis. A rounded position may differ from the axis by at most
-# `_MOST_ROUNDING`. Positions with noise that count as equal may spread over at most `_MOST_NOISE`. Both numbers are
-# relative to the step of the axis. If doubled, more scattered points are taken for a grid.
+# Positions of points along an axis are assigned to equally spaced coordinates. The difference between a rounded
+# position and its coordinate may be at most `_MOST_ROUNDING`. Positions with noise that count as equal may spread over
+# at most `_MOST_NOISE`. Both numbers are relative to the spacing. If doubled, more scattered points are taken for a
+# grid.
 _MOST_ROUNDING, _MOST_NOISE = 0.1, 0.01
-# Positions of points along an axis that are equal up to noise form a group. Two groups are at least this fraction of
-# the largest gap apart. If twenty (1/0.05) neighbouring positions of the axis have no point, all other gaps are smaller
-# than this limit, and the text is refused. If the number is doubled, ten such positions suffice.
+# Positions of points along an axis that are equal up to noise form a group. The gap between two groups is at least this
+# fraction of the largest gap. If twenty (1/0.05) neighbouring coordinates of the axis have no point, all other gaps are
+# smaller than this limit, and the text is refused. If the number is doubled, ten such coordinates suffice.
 _GROUP_GAP = 0.05
 _LINE_END = re.compile(r"\r\n?|\n")
 
@@ -144,7 +145,7 @@ class Form(NamedTuple):
         return float(cell.replace(",", ".").upper().replace("D", "E"))
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line; None if a cell is no number, or if the line is one missing sample."""
+        """Return the numbers of a line; None if a cell is no number, or if the only cell is a missing sample."""
         if self.decimal == "." and not self.thousands and '"' not in line and "_" not in line:
             try:
                 fast = list(map(float, line.split(self.separator)))
@@ -165,7 +166,7 @@ class Form(NamedTuple):
         return None if not cells or (len(cells) == 1 and self._is_gap(cells[0])) else numbers
 
     def _is_gap(self, cell: str) -> bool:
-        """Whether the text of a cell is a word for a missing sample, because it does not begin with a number."""
+        """Whether the text of a cell does not begin with a number, so that it is a word for a missing sample."""
         return _NUMBERS[self.decimal, self.thousands].match(cell) is None
 
 
@@ -224,7 +225,7 @@ def form_of(lines: Sequence[str]) -> Form | None:
     has_quotes = any('"' in line for line in sample)
     plain = [Form(*pair) for pair in _FORMS]
     best, chosen = _best_form(plain, sample, has_quotes=has_quotes)
-    # Thousands signs are tried only if a line that is not read as a row of numbers has a number with such a sign.
+    # A thousands sign is tried only if a line has a number with such a sign and is not yet read as a row of numbers.
     if any(_GROUPED.search(line) and (chosen is None or chosen.row(line) is None) for line in sample):
         grouped = [Form(*pair, sign) for pair in _FORMS for sign in _THOUSANDS[pair[1]] if pair[0] or sign != "\xa0"]
         score, form = _best_form(grouped, sample, has_quotes=has_quotes)
@@ -235,8 +236,8 @@ def form_of(lines: Sequence[str]) -> Form | None:
 def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
     """Try several forms of numbers on lines of a text, and return the form that reads the most numbers.
 
-    A form has the separator of cells and the decimal and thousands signs. Only numbers in rows of equal length count.
-    The result is how many such numbers the best form reads, and this form.
+    A form is a separator of cells, a decimal sign and a thousands sign. Only numbers in rows of equal length count. The
+    result is the count of numbers that the best form reads, and this form.
     """
     best, chosen = 0, None
     for form in forms:
@@ -362,9 +363,9 @@ def is_even(values: NDArray[np.float64]) -> bool:
 
 
 def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the positions of an evenly spaced axis that contains all values, and its step; None if no axis does.
+    """Return the coordinates and the step of an evenly spaced axis on which all values lie; None if no axis fits.
 
-    The function accepts values that were rounded in a text, and axes of which some positions have no value.
+    The values may have been rounded in a text file. Some coordinates of the axis may have no value.
     """
     ordered = np.unique(values)
     extent = float(ordered[-1] - ordered[0])
@@ -381,7 +382,8 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
             continue
         if most_width == math.inf:
             return axis
-        # A line fit through all values gives a more precise step than the first and the last group of values.
+        # A straight line fitted through all values gives a more precise step than the first and the last group of
+        # values.
         numbers = np.rint((values - axis[0][0]) / axis[1])
         step, low = (float(number) for number in np.polyfit(numbers, values, 1))
         return low + step * np.arange(len(axis[0]), dtype=np.float64), step
@@ -389,14 +391,14 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
 
 
 def _axis_through(centres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the positions and the step of an evenly spaced axis that contains the ascending ``centres``, or None."""
+    """Return the coordinates and step of an evenly spaced axis that contains the ascending ``centres``, or None."""
     low, high = float(centres[0]), float(centres[-1])
     steps = np.diff(centres)
     for typical in (float(np.median(steps)), float(np.min(steps))):
         count = round((high - low) / typical)
         if not 1 <= count <= 4 * len(centres):
             continue
-        # The mean over all steps is more precise than a single step, because positions are rounded.
+        # The mean of all steps is more precise than a single step, because positions of points are rounded.
         step = (high - low) / count
         if np.all(np.abs((centres - low) / step - np.round((centres - low) / step)) <= _MOST_ROUNDING):
             return low + step * np.arange(count + 1, dtype=np.float64), step

@@ -1,4 +1,4 @@
-"""Header lines of text exports that state a unit of heights, a unit of positions, or a factor of heights."""
+"""Header lines of text files that state a unit of heights, a unit of positions x and y, or a factor of heights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_facts import Facts
     from warpdiff.heightfield.readers.text_statements import Signs
 
-# Matches a header line with a key and its value.
+# Matches a header line "key: value"; the separator may also be an equals sign, a semicolon or a tab.
 LINE = re.compile(r"(?P<key>[^:=;\t]*[^\W\d_][^:=;\t]*?)\s*[:=;\t]\s*(?P<value>.*)")
 _PER_COUNT = r"(?:\s*(?:/|per\b)\s*(?:lsb|digit|count|bit|dn|level|unit|step|inc|increment)s?\b)"
 # Matches the value of a line that states a unit of heights, such as "nm", "10 nm" or "0.5 nm/LSB".
@@ -29,18 +29,18 @@ _HEIGHTS_IN = re.compile(
 )
 _ENDS_IN_NUMBER = re.compile(rf"[:=]\s*{NUMBER}\s*$")
 _ONE = re.compile(r"\+?1(?:[.,]0*)?(?:[eE][-+]?0+)?")
-# Matches a sentence such as "Multiply values by 0.5" or "z = value * 0.5".
+# Matches a sentence with a factor of the heights, such as "Multiply values by 0.5" or "z = value * 0.5".
 _MULTIPLY = re.compile(
     rf"\b(?:multipl(?:y|ied|iz)|divided?\b|scaled by\b).*{NUMBER}|\bvalues?\s*[*×]|[*×]\s*values?\b", re.IGNORECASE
 )
-# Matches a line such as "1 LSB = 0.5 nm".
+# Matches a line that states the height of one count of the instrument's converter, such as "1 LSB = 0.5 nm".
 _COUNT_IS = re.compile(
     rf"1\s*(?:lsb|digit|count|bit|dn)\s*(?:=|:|is)\s*(?P<number>{NUMBER})\s*(?P<unit>{UNIT})\W*", re.IGNORECASE
 )
 
 
 def add_unit(facts: Facts, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the unit of heights, the unit of lengths along x and y, or the factor of heights in a line."""
+    """Add to ``facts`` the unit of heights, the unit of x and y, or the factor of heights that a header line states."""
     if match := _CONVERSION.search(line) or _COUNT_IS.fullmatch(line):
         _add_unit_z(facts, line, match["unit"], match["number"], signs)
         return

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 # Measured peak memory while a file is read [bytes per sample]; the library copies the samples several times. If
 # doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 64.0
-# Number of the TIFF tag by which scans of Park Systems are recognised: the tag is in all of them, according to the
-# description of the format.
+# Number of the TIFF tag by which files of Park Systems microscopes are recognised: all of them have the tag, according
+# to the description of the format.
 _PARK_TAG = 50432
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 # Largest number of tags of a TIFF file that are compared with the tag of Park Systems.
 _MOST_TAGS = 1000
-# First bytes by which two formats are recognised. Other formats use the same suffixes.
+# First bytes by which the files of two kinds of instruments are recognised. Other formats use the same suffixes.
 _NANOSCOPE = (b"\\*File list", b"\\*Force file list", b"?*File list")
 _METROPRO = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
 # Words in the names of channels that contain no heights. Some programs state a length as the unit of such channels, so
@@ -135,7 +135,7 @@ def _read(name: str, file: Path) -> Channels:
 
 
 def _numbered(label: str) -> Iterator[str]:
-    """Yield a name, and after that the name with the numbers 2, 3, …, for several channels of the same name."""
+    """Yield the name of a channel, then the name with the numbers 2, 3, …, for further channels of the same name."""
     yield label
     number = 2
     while True:
@@ -172,7 +172,7 @@ def _content(channel: Any, file: Path, name: str) -> FileContent:
     """Read the heights of one channel of a file."""
     nx, ny = channel.nb_grid_pts
     require_memory(file, (ny, nx), _BYTES_PER_SAMPLE)
-    # If the file states no size, the library requires an argument for it. This arbitrary size is discarded below.
+    # If the file states no size, the library requires a size as an argument. This arbitrary size is discarded below.
     sizes = {} if channel.physical_sizes is not None else {"physical_sizes": (1.0, 1.0)}
     try:
         content = content_of(channel.topography(**sizes))

@@ -21,19 +21,21 @@ if TYPE_CHECKING:
 # Measured peak memory while a file is read [bytes per sample]: samples of the file, float64 heights, mask of missing
 # samples, and the height field. If doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 40.0
-# Size of the XML header above which a file is refused [bytes]. A header may contain the heights themselves; at this
-# size it has about a million heights. The limit stops compressed headers that expand a thousandfold.
+# A file is refused if its XML header is larger than this size [bytes]. A header may contain the heights themselves; at
+# this size it has about a million heights. The limit stops compressed headers that expand a thousandfold.
 _MOST_XML_BYTES = 1 << 25
-# Nesting depth of XML elements above which a file is refused. The XML headers of the format have a depth of 6.
+# A file is refused if elements of its XML header are nested deeper than this. The XML headers of the format have a
+# depth of 6.
 _MOST_DEPTH = 32
-# Largest number of members of the zip archive that are searched for the XML header. Archives of the format have about 5
-# members.
+# The XML header is searched among the files in the zip archive. This is the largest number of files that are searched.
+# Archives of the format have about 5 files.
 _MOST_MEMBERS = 1000
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 # Micrometres per metre; the metre is the unit of all lengths in the format.
 _UM_PER_M = 1e6
 _HEADER, _ARCHIVE, _RESOURCES = "main.xml", b"PK\x03\x04", "__MACOSX"
-# Paths of the elements of the XML header that become metadata, by the name of the metadata.
+# Paths of the XML header's elements whose texts are stored as metadata of the height field, by the name of the
+# metadata.
 _METADATA = {
     "date": "Record2/Date", "vendor": "Record2/Instrument/Manufacturer", "instrument": "Record2/Instrument/Model",
     "serial": "Record2/Instrument/Serial", "version": "Record2/Instrument/Version", "creator": "Record2/Creator",
@@ -98,8 +100,8 @@ def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least
         with archive.open(name) as stream:
             data = stream.read(most + 1)
     except Exception as error:
-        # Errors have many types: the member does not exist, its compression method is unknown, or its checksum is
-        # wrong.
+        # zipfile raises errors of many types: for a file that does not exist, an unknown compression method, or a wrong
+        # checksum.
         raise _damaged(file, f"{name}: {error}") from None
     if len(data) < least:
         raise _damaged(file, f"{name} has {len(data)} bytes, and the header states {least}")

@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
     Points = NDArray[np.int64]
 
-# Unit of the coordinates in a file [m], and their resolution [m]. Micrometres and nanometres were chosen because
+# Unit of the coordinates in a GDS file [m], and their resolution [m]. Micrometres and nanometres were chosen because
 # programs for lithography expect these units.
 _UNIT, _PRECISION = 1e-6, 1e-9
 # Largest coordinate in a file, in units of the resolution (1 nm). The value is limited by the format's 32-bit integers.
 _MOST_COORDINATE = 2**31 - 1
 # Time in the header of each file. A constant was chosen so that equal height fields give identical files.
 _TIME = datetime.datetime(2000, 1, 1)
-# Number of steps per µm to which positions are rounded before they are compared. The value follows from the resolution
-# of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
+# To compare positions, they are rounded to this number of steps per µm, that is to 0.1 nm. The resolution of the files
+# is 1 nm, so that this removes errors of the arithmetic and no real difference.
 _PER_UM = 10_000
-# Largest coordinate of a file that is measured [µm]. The value is limited by the 64-bit integers of the measurement,
-# which count steps of 0.1 nm.
+# Largest coordinate in a GDS layout whose widths are measured [µm]. The value is limited by the 64-bit integers of the
+# measurement, which count steps of 0.1 nm.
 _MOST_UM = 1e14
 
 
@@ -53,7 +53,7 @@ def _gdstk() -> ModuleType:
 
 
 def write_gds(target: Path, levels: Levels, pitch_um: tuple[float, float]) -> None:
-    """Write a file with a layer per level: the rectangles of the level, and a label with its height."""
+    """Write a GDS file with a layer per height level: the rectangles of the level, and a label with its height."""
     gdstk = _gdstk()
     (dy, dx), (ny, nx) = pitch_um, levels.indices.shape
     if min(dy, dx) < 1e6 * _PRECISION:
@@ -98,9 +98,9 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
         path: GDS file with one top cell, whose polygons have horizontal and vertical edges only.
 
     Returns:
-        A row per layer and datatype, with both numbers, the number of polygons, the largest number of vertices of a
-        polygon, the covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the number of
-        corners at which two features touch. A width is NaN if no feature or gap has an end along this axis.
+        Table with a row per layer and datatype: both numbers, the number of polygons, the largest number of vertices of
+        a polygon, the covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the number
+        of corners at which two features touch. A width is NaN if no feature or gap has an end along this axis.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -159,9 +159,10 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
 
 
 def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> None:
-    """Raise an error if an edge of a polygon is neither horizontal nor vertical.
+    """Raise an error if an edge of a polygon in a layout is neither horizontal nor vertical.
 
-    ``corners`` are the vertices of all polygons, ``lengths`` the numbers of vertices, and ``name`` is that of the file.
+    ``corners`` are the vertices of all polygons one after the other, ``lengths`` the numbers of vertices of each
+    polygon, and ``name`` is that of the file.
     """
     ends = np.cumsum(lengths)
     after = np.arange(1, len(corners) + 1)
@@ -171,7 +172,7 @@ def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> Non
 
 
 def _steps(polygons: list[Points]) -> Steps:
-    """Return the steps (horizontal edges, with their effect on the coverage) of polygons without sloped edges."""
+    """Return the horizontal edges of polygons as steps, which state on which side of an edge the polygon is."""
     fours = [points for points in polygons if len(points) == 4]
     boxes = np.array(fours, dtype=np.int64).reshape(-1, 4, 2)
     low, high = boxes.min(axis=1), boxes.max(axis=1)

@@ -19,10 +19,10 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Data types of records: bits, integers of 2 and 4 bytes, real numbers of 8 bytes, and text.
+# Numbers of the data types of GDS records: bits, integers of 2 and 4 bytes, real numbers of 8 bytes, and text.
 _NONE, _BITS, _INT2, _INT4, _REAL, _TEXT = 0, 1, 2, 3, 5, 6
-# Code, name, data type and number of bytes of each record; with None, any number. Records of other programs that no
-# layout requires are not listed.
+# Code, name, data type and number of bytes of each kind of GDS record; None permits any number of bytes. Records of
+# other programs that no layout requires are not listed.
 _TABLE = (
     (0x00, "HEADER", _INT2, 2), (0x01, "BGNLIB", _INT2, 24), (0x02, "LIBNAME", _TEXT, None), (0x03, "UNITS", _REAL, 16),
     (0x04, "ENDLIB", _NONE, 0), (0x05, "BGNSTR", _INT2, 24), (0x06, "STRNAME", _TEXT, None), (0x07, "ENDSTR", _NONE, 0),
@@ -40,7 +40,7 @@ _TABLE = (
 )  # fmt: skip
 _RECORDS = {code: (name, kind, size) for code, name, kind, size in _TABLE}
 _CODES = {name: code for code, name, _, _ in _TABLE}
-# Smallest and largest number of points of each kind of element (polygon, path, reference, text); None is no limit.
+# Smallest and largest number of points of each kind of GDS element, such as polygon or reference; None is no limit.
 _POINTS = {
     "BOUNDARY": (4, None), "BOX": (4, None), "PATH": (2, None), "SREF": (1, 1), "AREF": (3, 3), "TEXT": (1, 1),
     "NODE": (1, 50),
@@ -54,7 +54,7 @@ _MOST_COPIES = 10**6
 # Peak memory per vertex of the polygons [bytes], while a layout is read and measured. The value was measured for
 # squares at random positions.
 _BYTES_PER_VERTEX = 760.0
-# Accepted range of the resolution [m], and of the magnification with which a reference places a cell.
+# Accepted ranges: the resolution of a layout [m], and the magnification with which a reference places a cell.
 _RESOLUTIONS, _MAGNIFICATIONS = (1e-15, 1.0), (1e-6, 1e6)
 # The regular expressions below check the order of records. One character stands for one record. The code point of the
 # character is this number plus the code of the record.
@@ -62,7 +62,7 @@ _FIRST_LETTER = 0x100
 
 
 def _expression(text: str) -> re.Pattern[str]:
-    """Return a regular expression with the names of records as one in which a character stands for each record."""
+    """Compile a regular expression of names of records, after each name is replaced by the character of the record."""
     return re.compile(re.sub(r"[A-Z][A-Z0-9]+", lambda name: chr(_FIRST_LETTER + _CODES[name[0]]), text), re.VERBOSE)
 
 
@@ -90,7 +90,7 @@ class _Cell:
 
 
 class _Layout:
-    """Records of a file.
+    """Records of a GDS file, with their positions and order.
 
     Attributes:
         data: Content of the file.
@@ -124,7 +124,7 @@ class _Layout:
         raise ArgumentValueError(f"{ref('path')}: {self.name!r} is not a GDS file: {reason}; export it again")
 
     def match(self, expression: re.Pattern[str], begin: int) -> int:
-        """Return the index of the first record after those from ``begin`` that match; raise an error if none match."""
+        """Return the index after the records from ``begin`` that match; raise an error if their order is wrong."""
         match = expression.match(self.letters, begin)
         if match is None:
             self.refuse(
@@ -134,30 +134,30 @@ class _Layout:
         return match.end()
 
     def title(self, index: int) -> str:
-        """Return the name of a record."""
+        """Return the name of the record with an index, such as "BOUNDARY"."""
         return _RECORDS[ord(self.letters[index]) - _FIRST_LETTER][0]
 
     def content(self, index: int) -> bytes:
-        """Return the data of a record."""
+        """Return the data bytes of the record with an index."""
         begin = self.begins[index]
         return self.data[begin + 4 : begin + int.from_bytes(self.data[begin : begin + 2])]
 
     def integers(self, index: int) -> tuple[int, ...]:
-        """Return the integers of two bytes in a record."""
+        """Return the data of the record with an index as integers of two bytes."""
         content = self.content(index)
         return struct.unpack(f">{len(content) // 2}h", content)
 
     def text(self, index: int) -> bytes:
-        """Return the name of a cell that a record contains."""
+        """Return the name of a cell from the data of the record with an index."""
         text = self.content(index).removesuffix(b"\0")
         if not text or b"\0" in text:
             self.refuse(f"record {self.title(index)} at byte {self.begins[index]} must have a name, got {text!r}")
         return text
 
     def check_real(self, index: int, begin: int, limits: tuple[float, float]) -> None:
-        """Raise an error if a real number in a record is not within limits.
+        """Raise an error if the real number at the byte ``begin`` of a record's data is not within ``limits``.
 
-        The eight bytes of a number are a sign bit, an exponent of 16 with 7 bits, and a mantissa of 7 bytes.
+        Its eight bytes are a sign bit, an exponent of the base 16 with 7 bits, and a mantissa of 7 bytes.
         """
         content = self.content(index)[begin : begin + 8]
         value = int.from_bytes(content[1:]) / 2.0**56 * 16.0 ** ((content[0] & 127) - 64)
@@ -238,7 +238,8 @@ def _check_references(layout: _Layout, cells: dict[bytes, _Cell]) -> None:
         order = [*graphlib.TopologicalSorter(graph).static_order()]
     except graphlib.CycleError as error:
         layout.refuse(f"references must not contain themselves, got the cycle {b' > '.join(error.args[1])!r}")
-    # Numbers of copies and vertices of each cell, including those of all cells inside, and the depth of its references.
+    # For each cell: numbers of copies and of vertices, including those of all cells inside, and depth of nested
+    # references.
     totals: dict[bytes, tuple[int, int, int]] = {}
     for name in order:
         copies, vertices, depth = 0, cells[name].vertices, 0

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Relative amount by which depths may exceed the largest depth of a dose curve. The value is limited by the rounding
-# errors of differences of heights.
+# The calibration curve of a resist gives a dose for each depth, up to a largest depth. Depths may exceed it by this
+# relative amount, because differences of heights have rounding errors.
 _DEPTH_TOLERANCE = 1e-9
 # Largest sample of a 16-bit image.
 _WHITE = 65535
@@ -37,7 +37,7 @@ def dose_curve(dose: object) -> NDArray[np.float64]:
 def write_grey(
     target: Path, heights_um: NDArray[np.float64], pitch_um: tuple[float, float], curve: NDArray[np.float64] | None
 ) -> None:
-    """Write an image whose samples are proportional to the heights, or to doses that ``curve`` gives for depths."""
+    """Write a grey image whose samples are proportional to heights, or to the doses that ``curve`` gives for depths."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

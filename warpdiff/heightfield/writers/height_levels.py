@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Indices = NDArray[np.int64]
 
-# Largest number of levels. The value is limited by GDS files, in which all programs read the layers 0 to 255.
+# Largest number of height levels. The value is limited by GDS files: all programs read only the layers 0 to 255.
 MOST_LEVELS = 256
 
 

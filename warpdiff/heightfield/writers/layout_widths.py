@@ -1,9 +1,9 @@
-"""Least widths of features and gaps of rectilinear polygons, on a grid or by a sweep.
+"""Least widths of features and gaps in lithography layouts of polygons with horizontal and vertical edges.
 
-All coordinates are integers. A feature is an interval of a line that polygons cover, and a gap is an interval between
-two features. A step is a horizontal edge of the layout: an interval of x at a height y. A small layout is measured on
-the grid through the coordinates of its vertices. Over a larger layout a line is swept, and the ends of features along
-the line are updated at each edge of the layout.
+All coordinates are integers. On a line across the layout, a feature is an interval that polygons cover, and a gap is an
+interval between two features. A step is a horizontal edge of the layout: an interval of x at a height y. A small layout
+is measured on the grid through the coordinates of its vertices. Over a larger layout a line is swept, and the ends of
+features along the line are updated at each edge of the layout.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     Indices = NDArray[np.int64]
 
 
-# Largest number of cells of the grid through the coordinates of a layout. A layout with more cells is measured by a
-# sweep, which is 50 times slower per edge. If doubled, the memory of the grid doubles to 100 MB.
+# Largest number of cells of the grid through the coordinates of a layout's vertices. A layout with more cells is
+# measured by a sweep, which is 50 times slower per edge. If doubled, the memory of the grid doubles to 100 MB.
 _MOST_CELLS = 2**22
 
 
 class Steps(NamedTuple):
-    """Horizontal edges of a layout, each attribute of shape (n,).
+    """Horizontal edges of the polygons in a layout, each attribute of shape (n,).
 
     Attributes:
         y: Height of each edge.
@@ -108,14 +108,17 @@ def _least_runs(covered: NDArray[np.bool_], edges: Indices) -> tuple[int | None,
 
 
 def steps_of_rectangles(left: Indices, bottom: Indices, right: Indices, top: Indices) -> Steps:
-    """Return the lower and upper edges of rectangles."""
+    """Return the lower and the upper edges of rectangles as steps, which are the horizontal edges of a layout."""
     ones = np.ones(len(left), dtype=np.int64)
     both = [np.concatenate(pair) for pair in ((bottom, top), (left, left), (right, right), (ones, -ones))]
     return Steps(*both)
 
 
 def steps_of_polygon(x: list[int], y: list[int]) -> list[tuple[int, int, int, int]]:
-    """Return the steps (y, left, right, change) of a polygon with horizontal and vertical edges, by the even-odd rule.
+    """Return the horizontal edges of a polygon as steps (y, left, right, change), by the even-odd rule.
+
+    The change is that of the number of covering polygons from below to above the edge: 1 or −1. Other edges are
+    vertical.
 
     Args:
         x: Coordinates x of the vertices in their order around the polygon, n numbers.
@@ -156,7 +159,8 @@ def _united(steps: Steps) -> Steps:
     reach = np.maximum.accumulate(row + after)
     begins = np.flatnonzero(np.append(True, row[1:] + first[1:] > reach[:-1]))
     ends = np.append(begins[1:], len(y))
-    # Number of polygons that cover each interval between neighbouring coordinates x, below the next group of edges.
+    # Number of polygons that cover each interval between neighbouring coordinates x, just below the current group of
+    # edges.
     counts = np.zeros(len(lines), dtype=np.int32)
     parts: list[tuple[Indices, Indices, Indices, Indices]] = []
     for begin, end, low, high in zip(
@@ -168,7 +172,8 @@ def _united(steps: Steps) -> Steps:
         np.add.at(jumps, after[of_group] - low, -change[of_group])
         before = counts[low:high]
         above = before + np.cumsum(jumps[:-1], dtype=np.int32)
-        # For each interval, the change is 1 if the union begins at this height, −1 if it ends there, and otherwise 0.
+        # For each interval of x, the change is 1 if the union of the polygons begins at this y, −1 if it ends there,
+        # else 0.
         changes = np.zeros(high - low + 2, dtype=np.int8)
         np.subtract(above > 0, before > 0, out=changes[1:-1], dtype=np.int8)
         counts[low:high] = above
@@ -194,7 +199,7 @@ def _area(steps: Steps) -> int:
 
 
 def _along_x(steps: Steps, size: tuple[int, int]) -> _Widths:
-    """Return the least widths along x of a layout that is repeated with the periods (x, y) of ``size``, from 0."""
+    """Return the least widths of features and gaps along x, in a layout with the periods ``size`` (x, y)."""
     # The steps (horizontal edges) at y = 0 are repeated at the end of the period, so that corners at the edge of the
     # layout are counted.
     again = steps.y == 0
@@ -204,20 +209,20 @@ def _along_x(steps: Steps, size: tuple[int, int]) -> _Widths:
 
 
 def _along_y(steps: Steps, size: tuple[int, int]) -> _Widths:
-    """Return the least widths along y of a layout. The number of corners is 0, because `_along_x` counts them."""
+    """Return the least widths of features and gaps along y, and 0 corners, because `_along_x` counts them."""
     rows = np.concatenate([steps.left, steps.right])
     return _swept(rows, np.concatenate([steps.y, steps.y]), size[1])._replace(corners=0)
 
 
 def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
-    """Sweep a line over a periodic layout, and return the least widths along the line.
+    """Sweep a line over a periodic layout, and return the least widths of features and gaps along the line.
 
-    At some positions of the line, places along it become ends of features, or cease to be ends. Only the features and
-    gaps that begin or end at such a place are measured.
+    The line crosses edges of the layout. At each edge, some points of the line become ends of features, or cease to be
+    ends. Only the features and gaps that begin or end at such a point are measured.
 
     Args:
-        rows: Position of the line at each change of a place, shape (n,).
-        places: Place along the line that changes, 0 to ``period``, shape (n,).
+        rows: Position of the line at which a point changes, shape (n,).
+        places: Coordinate along the line of the point that changes, 0 to ``period``, shape (n,).
         period: Length of the line.
     """
     if not len(rows):
@@ -229,8 +234,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
     is_odd = (np.diff(np.append(starts, len(rows))) % 2 == 1).tolist()
     begins = np.flatnonzero(np.append(True, np.diff(rows[starts]) != 0)).tolist()
     values = places[starts].tolist()
-    # The line is periodic: its end is also its beginning, the place 0. `base` is 1 if a feature reaches the end of the
-    # line, otherwise 0.
+    # The line is periodic: its end is also its beginning, the coordinate 0. `base` is 1 if a feature reaches the end of
+    # the line, otherwise 0.
     base = 0
     line: list[int] = []
     least: list[int | None] = [None, None]
@@ -239,12 +244,12 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
         touched, odd = values[begin:end], is_odd[begin:end]
         reverses = touched[-1] == period and odd[-1]
         if touched[-1] == period:
-            # Changes at the end of the periodic line count as changes at its beginning, the place 0.
+            # Changes at the end of the periodic line count as changes at its beginning, the coordinate 0.
             both = touched[0] == 0
             is_reversed = odd[-1] != (both and odd[0])
             touched, odd = [0, *touched[int(both) : -1]], [is_reversed, *odd[int(both) : -1]]
-        # An even number of changes at a place cancels. An end of a feature at this place stays an end, but of another
-        # feature if two features touch at a corner.
+        # If a point of the line changes an even number of times, the changes cancel. An end of a feature at this point
+        # stays an end, but of another feature if two features touch at a corner.
         kinds = [(place, _kind(line, base, place)) for place, is_end in zip(touched, odd, strict=True) if not is_end]
         for place, is_end in zip(touched, odd, strict=True):
             if is_end:
@@ -256,7 +261,7 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
             continue
         for place in touched:
             k = bisect_left(line, place)
-            # Two intervals are measured: the one that ends at the place or contains it, and the one that begins there.
+            # Two intervals are measured: the one that ends at the point or contains it, and the one that begins there.
             for start in (k - 1, k) if k < count and line[k] == place else (k - 1,):
                 after = start + 1
                 low = line[start] if start >= 0 else line[-1] - period
@@ -269,13 +274,13 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
 
 
 def _kind(line: list[int], base: int, place: int) -> int | None:
-    """Return 1 if a feature begins at a place of a line, 0 if a feature ends there, and None otherwise."""
+    """Return 1 if a feature begins at the coordinate ``place`` of a line, 0 if one ends there, else None."""
     k = bisect_left(line, place)
     return (base ^ k) & 1 ^ 1 if k < len(line) and line[k] == place else None
 
 
 def _reverse(places: list[int], place: int) -> None:
-    """Insert a place into an increasing list, or remove it if the list has it."""
+    """Insert a coordinate into an increasing list, or remove it if the list already contains it."""
     k = bisect_left(places, place)
     if k < len(places) and places[k] == place:
         del places[k]

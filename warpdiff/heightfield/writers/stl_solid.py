@@ -43,8 +43,8 @@ def write_stl(target: Path, heights_um: NDArray[np.float64], pitch_um: tuple[flo
     edges = [top[0], top[:, -1], top[-1, ::-1], top[::-1, 0]]
     bases = [below[0], below[:, -1], below[-1, ::-1], below[::-1, 0]]
     triangles += [_quads(b[:-1], b[1:], t[1:], t[:-1]) for t, b in zip(edges, bases, strict=True)]
-    # The base is a fan of triangles around one vertex in its middle. Its outer vertices are the lower vertices of the
-    # walls, so that the solid has no gaps.
+    # The flat base of the solid is a fan of triangles around one vertex in its middle. Its outer vertices are the lower
+    # vertices of the walls, so that the solid has no gaps.
     ring = np.concatenate([b[:-1] for b in bases])
     middle = np.broadcast_to([x[-1] / 2.0, y[-1] / 2.0, base], ring.shape)
     triangles.append(np.stack([np.roll(ring, -1, axis=0), ring, middle], axis=1))
