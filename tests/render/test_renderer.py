@@ -490,13 +490,3 @@ def test_threads_render_different_pictures_concurrently(tube, fingers, plans, tr
     tries.number = 2 * TURNS
     # The main thread rendered a picture before. The pictures of the two other threads must not have changed it.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])
-
-
-def test_a_renderer_of_another_size_under_a_source_does_not_warn():
-    """No plan for a source covers the whole hemisphere, of which nothing may warn."""
-    tube, light = meshes.tube(segments_along=12, segments_around=12), wd.DirectionalLight((0.1, 0.9, 1.2))
-    options = {"coherence": wd.Coherence("source"), "tolerance": 0.3, "refine": False}
-    renderer = wd.Renderer(
-        tube, wd.gratings.sinusoidal(1.0, 0.1), light, wd.View.fit(tube, width=8, height=6), **options
-    )
-    renderer.resized(wd.View.fit(tube, width=16, height=12)).draw(light)
