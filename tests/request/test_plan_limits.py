@@ -144,3 +144,13 @@ def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
     wd.plan(coarse, at_angle(20.0), at_angle(20.0))
     wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
     wd.plan(rough, method="direct")
+
+
+def test_a_renderer_of_another_size_under_a_source_does_not_warn():
+    """No plan for a source covers the whole hemisphere, of which nothing may warn."""
+    tube, light = wd.meshes.tube(segments_along=12, segments_around=12), wd.DirectionalLight((0.1, 0.9, 1.2))
+    options = {"coherence": wd.Coherence("source"), "tolerance": 0.3, "refine": False}
+    renderer = wd.Renderer(
+        tube, wd.gratings.sinusoidal(1.0, 0.1), light, wd.View.fit(tube, width=8, height=6), **options
+    )
+    renderer.resized(wd.View.fit(tube, width=16, height=12)).draw(light)
