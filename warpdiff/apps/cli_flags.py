@@ -174,8 +174,8 @@ def add_report(flags: Flags) -> None:
     )  # fmt: skip
     _add_wavelengths(group, [450.0, 550.0, 650.0])
     group.add_argument(
-        "--sigmas-um", type=number, nargs="+", default=[5.0, 16.25, 50.0], metavar="UM",
-        help="coherence windows whose colours are shown (default: 5 16.25 50)",
+        "--sigmas-um", type=number, nargs="+", metavar="UM",
+        help="coherence windows whose colours are shown (default: 5 16.25 50, at most a quarter of the size of a scan)",
     )  # fmt: skip
     flags.add(group, describe(wd.report), only=("title",))
 

@@ -76,9 +76,9 @@ def test_the_page_is_complete_in_itself_and_its_texts_are_escaped(made):
     page = Page(text)
     assert page.open == []
     assert all(link.startswith("data:") for link in page.links)
-    # The page has seven pictures: the heights, two ranges of the power spectrum, the orders, the colours, the
-    # reflectance map, and the comparison with the measured spectrum.
-    assert len(page.alts) == 7
+    # The page has eight pictures: the heights, two ranges of the power spectrum, the orders, the colours,
+    # two exposures of the reflectance map, and the comparison with the measured spectrum.
+    assert len(page.alts) == 8
     assert all(page.alts)
     assert "@DATE@ & co" in "".join(page.texts)
     assert "<b>@DATE@" not in text
@@ -162,7 +162,7 @@ def test_inputs_settings_and_doubts_are_stated(tmp_path, monkeypatch):
     for doubt in ("may be clipped", "0.26 µm has fewer than 3 samples"):
         assert any(doubt in text for text in numbers["warnings"]), doubt
     assert numbers["settings"]["material"] == "gold"
-    assert numbers["settings"]["coherence"] == "averaged window with σ = 16.25 µm"
+    assert numbers["settings"]["coherence"] == "averaged window with σ = 2 µm"
     text = page_of(data, numbers, [], [])
     assert source["sha256"] in text
     assert "stated by the user" in text
@@ -219,7 +219,21 @@ def test_the_coherence_of_a_plan_is_stated(monkeypatch):
     data = collect(request(field, settings={"plan": plan}), lambda _: None)
     assert numbers_of(data, "title")["settings"]["coherence"] == str(plan.coherence)
     (figure,) = (figure for figure in figures_of(data) if figure.name == "map")
-    assert f"({plan.coherence}, exposure" in figure.caption
+    assert f"({plan.coherence})" in figure.caption
+
+
+@pytest.mark.parametrize(("size_um", "expected"), [(8.0, (2.0,)), (30.0, (5.0, 7.5))])
+def test_windows_of_scans_end_at_their_edges(size_um, expected, rng, monkeypatch):
+    """By default, no coherence window is wider than a quarter of a scan. The map has the middle window."""
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
+    field = grooves(rng, (20, round(size_um / 0.1)))
+    field = wd.HeightField(np.repeat(field.heights_um, round(size_um / 2.0), axis=0), 0.1)
+    data = collect(request(field, sigmas_um=None), lambda _: None)
+    assert data.request.sigmas_um == pytest.approx(expected)
+    assert tuple(data.colours) == data.request.sigmas_um
+    assert data.request.settings["coherence"] == wd.Coherence(sigma_um=data.request.sigmas_um[len(expected) // 2])
+    cell = collect(request(wd.gratings.blazed(2.0, 0.2), sigmas_um=None), lambda _: None)
+    assert cell.request.sigmas_um == (5.0, 16.25, 50.0)
 
 
 def test_warnings_are_collected_on_the_page(rng, monkeypatch):

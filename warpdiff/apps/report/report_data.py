@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -69,6 +69,10 @@ _MOST_CLIPPED = 1e-4
 # Least sine of the angle between the light and the normal for which both define a plane of incidence. Smaller sines may
 # be rounding errors of unit vectors.
 _LEAST_SINE = 1e-9
+# Default standard deviations σ of the coherence windows [µm]: that of daylight, and a shorter and a longer one.
+_SIGMAS_UM = (5.0, 16.25, 50.0)
+# Least size of a scan, in units of σ, at which its edges have little weight in the window.
+_PATCH_IN_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,8 @@ class Request:
             `warpdiff.report`.
         wavelengths_nm: Wavelengths [nm] for which the report lists diffraction orders and the expected error of scalar
             diffraction, shape (m,).
-        sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm].
+        sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm]; None until they
+            are chosen by the size of the field.
         illuminant: Illuminant of the colours.
         measured: Measured curve; None if there is no measurement.
         settings: Other keyword arguments of `warpdiff.report`, by name.
@@ -92,7 +97,7 @@ class Request:
     to_light: NDArray[np.float64] | None
     to_view: NDArray[np.float64] | None
     wavelengths_nm: NDArray[np.float64]
-    sigmas_um: tuple[float, ...]
+    sigmas_um: tuple[float, ...] | None
     illuminant: str | Spectrum
     measured: MeasuredCurve | None
     settings: dict[str, Any]
@@ -198,6 +203,21 @@ class ReportData:
                 self.warnings.append(text)
 
 
+def _set_windows(data: ReportData) -> tuple[float, ...]:
+    """Choose the coherence windows of a report that its arguments leave open; return their σ [µm].
+
+    The windows of a scan reach at most to its edges. Wider windows would show the repetition of the scan. The
+    reflectance map and the comparison use the middle one of the windows.
+    """
+    request, most = data.request, math.inf if data.is_cell else min(data.patch_um) / _PATCH_IN_SIGMAS
+    sigmas_um = request.sigmas_um or tuple(sorted({min(sigma, most) for sigma in _SIGMAS_UM}))
+    settings = request.settings
+    if settings.get("coherence") is None and settings.get("plan") is None:
+        settings = settings | {"coherence": Coherence(sigma_um=sigmas_um[len(sigmas_um) // 2])}
+    data.request = replace(request, sigmas_um=sigmas_um, settings=settings)
+    return sigmas_um
+
+
 def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     """Compute all results of a report.
 
@@ -224,6 +244,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
             data.reasons[name] = data.reasons["optics"]
         return data
     data.patch_um = optical.size_um
+    sigmas_um = _set_windows(data)
     data.verdicts = data.attempt(
         "verdicts", lambda: tuple(verdict_on(optical, nm) for nm in request.wavelengths_nm.tolist())
     )
@@ -231,23 +252,24 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.attempt("orders", lambda: _add_orders(data, optical))
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
-    for index, sigma in enumerate(request.sigmas_um):
+    settings = data.request.settings
+    for index, sigma in enumerate(sigmas_um):
         # The caller's plan holds numbers of wavelengths and terms for another coherence window. It is not valid for
         # these colours.
-        settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
+        of_window = settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",
-            lambda settings=settings: reflectance(  # type: ignore[misc]
-                optical, data.to_light, views, illuminant=request.illuminant, **settings
+            lambda of_window=of_window: reflectance(  # type: ignore[misc]
+                optical, data.to_light, views, illuminant=request.illuminant, **of_window
             ),
         )
         if xyz is not None:
             data.colours[sigma] = np.asarray(xyz, dtype=np.float64)
-        progress(0.55 + 0.15 * (index + 1) / len(request.sigmas_um))
+        progress(0.55 + 0.15 * (index + 1) / len(sigmas_um))
     data.map = data.attempt(
         "map",
         lambda: reflectance_map(
-            optical, data.to_light, size=_MAP_PIXELS, illuminant=request.illuminant, **request.settings,
+            optical, data.to_light, size=_MAP_PIXELS, illuminant=request.illuminant, **settings,
             progress=lambda share: progress(0.7 + 0.2 * share),
         ),
     )  # fmt: skip

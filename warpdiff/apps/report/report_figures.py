@@ -197,8 +197,13 @@ def _exposure(luminances: NDArray[np.floating[Any]]) -> float:
     return float(f"{auto_exposure(luminances[luminances > 0.0], 'aces'):.2g}")
 
 
+def _exposures(data: ReportData) -> dict[float, float]:
+    """Return the automatic exposure of the colours against the view angle, by the σ of the coherence window [µm]."""
+    return {sigma: _exposure(xyz[:, 1]) for sigma, xyz in data.colours.items()}
+
+
 def _colours(data: ReportData) -> Figure:
-    strips = [(sigma, xyz, _exposure(xyz[:, 1])) for sigma, xyz in data.colours.items()]
+    strips = [(sigma, data.colours[sigma], exposure) for sigma, exposure in _exposures(data).items()]
     sigma, xyz, exposure = strips[len(strips) // 2]
     strips.append((sigma, xyz, _BRIGHTER * exposure))
 
@@ -206,7 +211,7 @@ def _colours(data: ReportData) -> Figure:
         for ax, (sigma, xyz, exposure) in zip(axes, strips, strict=True):
             plot.colour_strip(
                 xyz, data.to_light, angles_deg=ANGLES_DEG, azimuth_deg=data.azimuth_deg, ax=ax, exposure=exposure,
-                title=f"coherence window σ = {sigma:g} µm, exposure {exposure:g}",
+                title=f"coherence window σ = {sigma:.3g} µm, exposure {exposure:g}",
             )  # fmt: skip
             ax.set_xticks(_TICKS_DEG)
         for ax in axes[:-1]:
@@ -222,18 +227,26 @@ def _colours(data: ReportData) -> Figure:
 
 
 def _map(data: ReportData, image: Image) -> Figure:
-    exposure = _exposure(image.xyz[..., 1])
+    # Orders are much brighter than the light between them. The first map has the exposure of the colours against the
+    # view angle, which shows the colours of orders, and the second one shows the light between them.
+    of_strips = list(_exposures(data).values())
+    brighter = _exposure(image.xyz[..., 1])
+    exposures = [of_strips[len(of_strips) // 2], brighter] if of_strips else [brighter]
     coherence = EvaluationSettings(**data.request.settings).effective_coherence
-    uri = _drawn(
-        "png", _SQUARE, _SQUARE,
-        lambda ax: plot.reflectance_map(image, data.to_light, ax=ax, exposure=exposure, title=""),
-    )  # fmt: skip
+
+    def at(exposure: float) -> str:
+        title = f"exposure {exposure:g}"
+        return _drawn(
+            "png", _SQUARE, _SQUARE,
+            lambda ax: plot.reflectance_map(image, data.to_light, ax=ax, exposure=exposure, title=title),
+        )  # fmt: skip
+
     caption = (
-        f"Colour of the reflectance in all view directions ({coherence}, exposure {exposure:g}), for a light at "
-        f"{abs(data.light_deg):.3g}° from the normal. The centre is the normal of the surface, the rim the horizon. A "
-        "circle marks the light, and a cross its mirror direction."
+        f"Colour of the reflectance in all view directions ({coherence}), for a light at {abs(data.light_deg):.3g}° "
+        "from the normal. The centre is the normal of the surface, the rim the horizon. A circle marks the light, and "
+        "a cross its mirror direction. The first picture has the exposure of the colours against the view angle."
     )
-    return Figure("map", (uri,), "Colours of the reflectance over the hemisphere", caption)
+    return Figure("map", tuple(map(at, exposures)), "Colours of the reflectance over the hemisphere", caption)
 
 
 def _comparison(comparison: CurveComparison) -> Figure:

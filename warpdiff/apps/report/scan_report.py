@@ -78,7 +78,7 @@ class ScanReport:
 def report(
     heightfield: HeightField, folder: str | os.PathLike[str], *, to_light: ArrayLike | None = None,
     to_view: ArrayLike | None = None, wavelengths_nm: ArrayLike = (450.0, 550.0, 650.0),
-    sigmas_um: Sequence[float] = (5.0, 16.25, 50.0), compare: str | os.PathLike[str] | None = None,
+    sigmas_um: Sequence[float] | None = None, compare: str | os.PathLike[str] | None = None,
     illuminant: str | Spectrum = "D65", title: str | None = None, progress: Progress = None,
     **settings: Unpack[EvaluationKeywords],
 ) -> ScanReport:  # fmt: skip
@@ -102,7 +102,9 @@ def report(
         to_view: Direction to the viewer of a measured spectrum, shape (3,). None is the view angle in the file, or the
             mirror direction if the file states none.
         wavelengths_nm: Wavelengths for which orders and verdicts are computed [nm], shape (m,) or one number.
-        sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
+        sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six. None is 5,
+            16.25 and 50 µm, but for a scan at most a quarter of its shorter side. The reflectance map has the middle
+            one of these windows, unless ``coherence`` or ``plan`` states another one.
         compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed curve. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
             name. View angles are from the normal in the plane of the light. They are positive towards +x, or towards +y
@@ -169,7 +171,9 @@ def _wavelengths(value: ArrayLike) -> NDArray[np.float64]:
     return wavelengths
 
 
-def _sigmas(value: Sequence[float]) -> tuple[float, ...]:
+def _sigmas(value: Sequence[float] | None) -> tuple[float, ...] | None:
+    if value is None:
+        return None
     sigmas = np.unique(np.atleast_1d(validation.finite_array(value, "sigmas_um", most=validation.MOST))).tolist()
     if not 1 <= len(sigmas) <= _MOST_SIGMAS or not all(sigma >= validation.LEAST for sigma in sigmas):
         raise ArgumentValueError(
