@@ -242,6 +242,7 @@ class CleaningMethods(HeightSamples):
                 f"{ref('periodic()')} changed heights by {change:.3g} µm (root mean square), "
                 f"{100.0 * change / self.rms_um:.0f} % of their standard deviation, and their range from "
                 f"{self.height_range_um:.3g} to {result.height_range_um:.3g} µm; level the field first with "
-                f"{ref('levelled()')}, or cut it with {ref('whole_periods()')}"
+                f"{ref('levelled()')}, or cut it with {ref('whole_periods()')}; if it is levelled, waves longer than "
+                "the field remain, and light near the mirror direction is uncertain"
             )
         return result
