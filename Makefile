@@ -22,7 +22,7 @@ PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxpr
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-browser test-dask test-mitsuba test-scans soak fuzz test-lowest test-newest test-prerelease release-check lint bench docs clean
+.PHONY: help demo env test test-slow test-browser test-dask test-mitsuba test-scans soak fuzz test-lowest test-newest test-prerelease release-check lint bench docs clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
@@ -31,6 +31,8 @@ help: ## list the targets
 
 demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
+
+env: $(TEST_STAMP) $(LINT_STAMP) ## install what tests and checks need into .venv, and run nothing
 
 test: $(TEST_STAMP) ## run the tests
 	$(PYTEST_WORKERS)

@@ -79,6 +79,18 @@ def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, 
     assert np.percentile(errors, 99.0) < 0.2
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_lobes_of_the_page_about_lights_have_power_mean_and_variance_of_the_line(module_of, count):
+    """Lobes without their Gaussian extents (``deviations``) would have a smaller variance than the uniform line."""
+    start, end = np.array(LINE)
+    lobes = module_of("add_a_light").LineLight(*LINE, power=3.0, lobe_count=count).lobes()
+    positions, extents = (np.array([getattr(lobe, name) for lobe in lobes]) for name in ("position", "deviations"))
+    assert sum(lobe.power for lobe in lobes) == pytest.approx(3.0)
+    np.testing.assert_allclose(positions.mean(axis=0), 0.5 * (start + end), atol=1e-12)
+    covariance = np.cov(positions.T, bias=True) + np.einsum("lki,lkj->ij", extents, extents) / count
+    np.testing.assert_allclose(covariance, np.outer(end - start, end - start) / 12.0, atol=1e-12)
+
+
 def test_the_profile_of_the_page_about_lights_works_in_a_file_of_a_user(module_of, fingers):
     """The emission profile on the page must dim the light by the sine of the angle to the axis of a tube.
 

@@ -174,3 +174,12 @@ def test_designs_are_checked_rigorously():
     scalar = achieved_values(grooves, [target])[0]
     rigorous = rigorous_values(grooves, [target], ALUMINIUM, 9, 64, None)[0][0]
     np.testing.assert_allclose(rigorous, scalar, rtol=0.04)
+
+
+def test_singular_equations_of_the_solver_are_a_clear_error() -> None:
+    """A material with the index of air has its second orders exactly at the horizon, on both sides of the surface."""
+    air = wd.Material([500.0], [1.0], [0.0])
+    with pytest.raises(
+        ValueError, match="wavelengths_nm has a wavelength of 500 nm, .*singular.*change the wavelength"
+    ):
+        wd.rigorous_order_efficiencies(wd.gratings.lamellar(1.0, 0.1), (0, 0, 1), [500.0], material=air)

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics.colorimetry import NM_PER_UM
 from warpdiff.optics.materials import reflectance_at
 
 if TYPE_CHECKING:
@@ -93,6 +95,9 @@ def solve(
         index: Index n + ik of the material, which also fills the space below the layers.
         polarisation: 0 for s, the electric field along the grooves, and 1 for p.
         harmonics: Largest order N of the Fourier series of the fields.
+
+    Raises:
+        ValueError: The equations of the solver are singular.
     """
     meent = load_meent()
     below, bottom = [], index.real
@@ -104,11 +109,18 @@ def solve(
     count = len(layers[0]) if layers else 2
     masks = [*layers, *(np.ones(count, dtype=bool) for _ in below)]
     cell = np.where(np.array(masks).reshape(-1, 1, count), np.conj(index), 1.0 + 0.0j)
-    result = meent.call_mee(
-        backend=0, pol=polarisation, n_top=1.0, n_bot=bottom, theta=-angle_rad, fto=[harmonics, 0],
-        wavelength=wavelength_um, period=[period_um, 1.0], ucell=cell, thickness=[*thicknesses_um, *below],
-        fourier_type=1,
-    ).conv_solve()  # fmt: skip
+    try:
+        result = meent.call_mee(
+            backend=0, pol=polarisation, n_top=1.0, n_bot=bottom, theta=-angle_rad, fto=[harmonics, 0],
+            wavelength=wavelength_um, period=[period_um, 1.0], ucell=cell, thickness=[*thicknesses_um, *below],
+            fourier_type=1,
+        ).conv_solve()  # fmt: skip
+    except np.linalg.LinAlgError:
+        raise ArgumentValueError(
+            f"{ref('wavelengths_nm')} has a wavelength of {NM_PER_UM * wavelength_um:.6g} nm, at which the equations "
+            "of the solver are singular, because an order is exactly at the horizon: change the wavelength or the "
+            "direction to the light slightly"
+        ) from None
     return Solution(np.ravel(result.de_ri).real, np.ravel(result.de_ti).real)
 
 
