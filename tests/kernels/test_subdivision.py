@@ -130,6 +130,42 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
     np.testing.assert_array_equal(levels.numpy().reshape(height, width), expected)
 
 
+def test_the_level_of_a_tile_in_the_first_column_ignores_the_end_of_the_row_above():
+    """The level of a pixel must not depend on a pixel of the last column, if it is itself in the first column.
+
+    In memory, the last pixel of a row is directly before the first pixel of the next row. Here, only the last pixel of
+    the first row has a mark and a large error. The level of its neighbour to the left must rise.
+    """
+    sums = subdivision.FilteredSums()
+    sums.changes = array(np.ones(8), wp.float32)
+    levels = array(np.full(8, 3), wp.uint8)
+    inputs = [
+        sums, array([], wp.int32), array(np.arange(8) == 3, wp.uint8), array(np.ones((8, 3)), wp.vec3f),
+        array(np.full(8, 10.0), wp.float32), 4, 2, array([0.5], wp.float32), 0.01, 3, 6, 0, 8,
+    ]  # fmt: skip
+    launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
+    rises = levels.numpy().reshape(2, 4) > 3
+    np.testing.assert_array_equal(rises, np.tile([False, False, True, True], (2, 1)))
+
+
+def test_a_single_listed_pixel_is_resolved(rng):
+    """If only one pixel is listed, the kernel must set this pixel to the sum over its nine tiles, and no other pixel."""
+    sums = subdivision.FilteredSums()
+    filtered = rng.uniform(size=(12, 9, 4))
+    sums.filtered_sums, sums.changes = array(filtered, wp.vec4f), array(np.ones(12), wp.float32)
+    sums.levels, sums.lighting = array(np.ones(12), wp.uint8), array(np.ones(12), wp.uint8)
+    sums.filter_normalisation = array(np.ones((2, 3)), wp.float32)
+    outputs = [
+        wp.zeros(12, dtype=dtype, device="cpu")
+        for dtype in (wp.vec3f, wp.float32, wp.float64, wp.uint8, wp.bool, wp.bool)
+    ]
+    inputs = [sums, array([6], wp.int32), array(np.ones(12), wp.uint8), 4, 3, 1.0, 1.0, 0, 1]
+    launch(subdivision.resolve_pixels, (1, 1), inputs, outputs, device="cpu")
+    expected = np.zeros((12, 3))
+    expected[6] = filtered[[1, 2, 3, 5, 6, 7, 9, 10, 11], np.arange(9), :3].sum(axis=0)
+    np.testing.assert_allclose(outputs[0].numpy(), expected, rtol=1e-5)
+
+
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
     """Return the levels that the kernel ``select_levels`` must compute, and the changes on which they depend.
 
