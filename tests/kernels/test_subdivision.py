@@ -149,7 +149,7 @@ def test_the_level_of_a_tile_in_the_first_column_ignores_the_end_of_the_row_abov
 
 
 def test_a_single_listed_pixel_is_resolved(rng):
-    """If only one pixel is listed, the kernel must set this pixel to the sum over its nine tiles, and no other pixel."""
+    """If only one pixel is listed, the kernel must set only this pixel, to the sum over its nine tiles."""
     sums = subdivision.FilteredSums()
     filtered = rng.uniform(size=(12, 9, 4))
     sums.filtered_sums, sums.changes = array(filtered, wp.vec4f), array(np.ones(12), wp.float32)
