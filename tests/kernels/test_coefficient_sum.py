@@ -8,6 +8,7 @@ from conftest import coherence_of, hemisphere, launch, noise
 import warpdiff as wd
 from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels import coefficient_sum, compile_options
+from warpdiff.kernels.structs import Footprint
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.tables.lookup import ColourLookup
 
@@ -125,3 +126,34 @@ def test_each_direction_uses_the_smallest_sufficient_set_of_wavelengths(kind, rn
     assert len(set(expected)) >= 4
     x, y, _ = result.numpy().T
     np.testing.assert_allclose(x, y * expected, rtol=1e-4)
+
+
+def test_footprints_under_a_source_add_their_covariance_to_that_of_the_source(rng):
+    """The light of a flat surface must be a Gaussian of (u, v), averaged over the source and over the footprint.
+
+    Its covariance Σ is that of the source, s² (I − t tᵀ), plus that of the footprint. Here s is the spread of the
+    source, and t is the tangential part of the direction to the light. The power at (u, v) is relative to the power in
+    the mirror direction without a footprint.
+    """
+    device, count = wp.get_device("cpu"), 40
+    heightfield, coherence = wd.HeightField(np.zeros((16, 16)), 0.09), wd.Coherence("source", angular_diameter_deg=3.0)
+    plan = wd.plan(heightfield, coherence=coherence, tolerance=1e-3, integration="sampled")
+    spread = np.radians(1.5) / np.sqrt(2.0)
+    lights, footprints = hemisphere(rng, count, 0.5), spread * rng.normal(size=(count, 2, 2)) * (1.5, 0.4)
+    of_source = spread**2 * (np.eye(2) - lights[:, :2, None] * lights[:, None, :2])
+    covariance = of_source + np.swapaxes(footprints, 1, 2) @ footprints
+    uv = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.uniform(-1.0, 1.0, (count, 2)))
+    tangential = -uv - lights[:, :2]
+    vectors = np.column_stack([uv, -lights[:, 2] - np.sqrt(1.0 - np.sum(tangential**2, axis=1))])
+    inputs = [
+        wp.array(vectors, dtype=wp.vec3d, device=device), wp.array(lights, dtype=wp.vec3f, device=device),
+        wp.array(np.ones(count), dtype=wp.float32, device=device),
+    ]  # fmt: skip
+    lookup = ColourLookup(heightfield, plan, plan.direction_range, device=device, threads=1)
+    result = wp.zeros(count, dtype=wp.vec3f, device=device)
+    call = lookup.kernel_calls(*inputs, IlluminatedMaterial("D65", None), result)[0]
+    call.inputs[-2] = wp.array(footprints.reshape(count, 4), dtype=Footprint, device=device)
+    launch_pipeline([call], count, device=device, threads=1)
+    share = np.sqrt(np.linalg.det(of_source) / np.linalg.det(covariance))
+    expected = share * np.exp(-0.5 * np.einsum("ni,nij,nj->n", uv, np.linalg.inv(covariance), uv))
+    np.testing.assert_allclose(result.numpy()[:, 1], expected, rtol=1e-3)

@@ -9,6 +9,8 @@ from conftest import hemisphere, launch
 from plain_specification import brdf
 
 from warpdiff.kernels import compile_options, plain_reflection
+from warpdiff.kernels.light_samples import Lights
+from warpdiff.kernels.structs import Footprint, Pixels
 
 
 def array(values, dtype):
@@ -53,6 +55,29 @@ def test_pairs_of_directions_have_the_brdf_of_the_specification(metallic, roughn
     lights, views = hemisphere(rng, 200, 0.02), hemisphere(rng, 200, 0.02)
     result, _ = computed(metallic, roughness**2, colour, lights=lights, views=views, slopes=np.zeros((200, 2)))
     np.testing.assert_allclose(result, math.pi * brdf(lights, views, metallic, roughness, colour), rtol=2e-4)
+
+
+def test_a_texture_with_nearly_equal_roughness_in_a_footprint_has_the_brdf_of_its_mean(rng):
+    """The reflected light must be that of the mean roughness, if the roughness hardly varies within a footprint.
+
+    The standard deviation of the texture, 0.009, is below the smallest one that the kernel takes into account.
+    """
+    count, colour = 50, (0.8, 0.4, 0.2)
+    to_lights, to_views = hemisphere(rng, count, 0.1), hemisphere(rng, count, 0.1)
+    pixels, lights, materials = Pixels(), Lights(), plain_reflection.PlainMaterials()
+    pixels.face, pixels.base_colour = array(np.zeros(count), wp.int32), array(np.tile(colour, (count, 1)), wp.vec3f)
+    pixels.metallic_roughness = array(np.tile((0.6, 0.5, 0.009, 0.3), (count, 1)), wp.vec4f)
+    materials.rows, materials.metallic_roughness = array([0], wp.int32), array([(1.0, 0.8)], wp.vec2f)
+    lights.places, lights.strengths = array([(0.0, 0.0, 1.0, 0.0)], wp.vec4d), array([1.0], wp.float64)
+    lights.white_rgb, lights.rgb_to_xyz = array([(1.0, 1.0, 1.0)], wp.vec3d), wp.mat33d(*np.eye(3).ravel())
+    result = wp.zeros(count, wp.vec3f, device="cpu")
+    inputs = [
+        pixels, lights, 0, array([], wp.vec4f), 1.0, materials, array([], Footprint),
+        array(-to_lights - to_views, wp.vec3d), array(to_lights, wp.vec3f), array(np.ones(count), wp.float32), 0, count,
+    ]  # fmt: skip
+    launch(plain_reflection.add_plain_reflection, (1, 1), inputs, [result], device="cpu")
+    expected = math.pi * to_lights[:, 2:] * brdf(to_lights, to_views, 0.6, 0.4, colour)
+    np.testing.assert_allclose(result.numpy(), expected, rtol=2e-4)
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.5])

@@ -145,3 +145,28 @@ def test_directions_on_a_disc_are_uniform_and_many_are_near_the_mirror_direction
     for values, ends in ((share, (0.0, 1.0)), (around, (-math.pi, math.pi))):
         result = np.histogram(values, 8, ends, weights=weights[inside])[0] / len(weights)
         np.testing.assert_allclose(result, 0.125, atol=0.012)
+
+
+def test_one_of_many_lights_is_chosen_by_the_mean_roughness_of_a_footprint(rng):
+    """The chosen lights and their weights must not depend on how much the roughness varies within the footprint.
+
+    They are compared with those of a texture without a variation.
+    """
+    lights, pixels, materials = Lights(), Pixels(), PlainMaterials()
+    lights.places = array(np.column_stack([hemisphere(rng, 5), np.zeros(5)]), wp.vec4d)
+    lights.strengths = array(np.ones(5), wp.float64)
+    materials.rows, materials.metallic_roughness = array([0], wp.int32), array([(1.0, 1.0)], wp.vec2f)
+    pixels.hit, pixels.face = wp.ones(COUNT, wp.int32, device="cpu"), wp.zeros(COUNT, wp.int32, device="cpu")
+    pixels.tangent, pixels.bitangent, pixels.normal = (array(np.tile(axis, (COUNT, 1)), wp.vec3f) for axis in np.eye(3))
+    pixels.to_view = array(hemisphere(rng, COUNT), wp.vec3f)
+    pixels.base_colour = array(np.ones((COUNT, 3)), wp.vec3f)
+    footprints = array(np.full((COUNT, 4), 1e-3), Footprint)
+    results = []
+    for deviation in (0.0, 0.3):
+        pixels.metallic_roughness = array(np.tile((1.0, 0.5, deviation, 0.0), (COUNT, 1)), wp.vec4f)
+        towards = wp.zeros(COUNT, wp.vec4f, device="cpu")
+        inputs = [lights, materials, pixels, footprints, array([], wp.int32), 16, 1, 0, 1, 0, COUNT]
+        launch(plain_samples.choose_plain_lights, (1, 1), inputs, [towards], device="cpu")
+        results.append(towards.numpy())
+    np.testing.assert_array_equal(*results)
+    assert len(np.unique(results[0][:, 0])) == 5

@@ -219,6 +219,12 @@ def test_each_sample_scatters_light_from_its_direction_in_the_sky(rng):
     np.testing.assert_allclose(vectors.numpy()[bright], -(light + views)[bright], atol=1e-5)
     along = np.einsum("na,nac->nc", light, frames)[bright]
     np.testing.assert_allclose(gain[0, bright] / gain[1, bright], sample_grid(grid, along, 0.0)[:, 0], rtol=1e-3)
+    # A sky whose power is only in the last spectrum must illuminate the same hits, and a dark sky none.
+    for power in (1.0, 0.0):
+        sky.powers = array(grid * (0.0, 0.0, power), wp.vec3f)
+        illuminated.zero_()
+        launch(sky_samples.sample_sky, (2, 1), inputs, [vectors, lights, gains, none, illuminated], device="cpu")
+        np.testing.assert_array_equal(illuminated.numpy(), bright & (power > 0.0))
 
 
 def test_the_share_of_hits_and_the_mirror_directions_are_those_of_the_rays(rng):

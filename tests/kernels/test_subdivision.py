@@ -130,18 +130,54 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
     np.testing.assert_array_equal(levels.numpy().reshape(height, width), expected)
 
 
-def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
+def test_the_level_of_a_tile_in_the_first_column_ignores_the_end_of_the_row_above():
+    """The level of a pixel must not depend on a pixel of the last column, if it is itself in the first column.
+
+    In memory, the last pixel of a row is directly before the first pixel of the next row. Here, only the last pixel of
+    the first row has a mark and a large error. The level of its neighbour to the left must rise.
+    """
+    sums = subdivision.FilteredSums()
+    sums.changes = array(np.ones(8), wp.float32)
+    levels = array(np.full(8, 3), wp.uint8)
+    inputs = [
+        sums, array([], wp.int32), array(np.arange(8) == 3, wp.uint8), array(np.ones((8, 3)), wp.vec3f),
+        array(np.full(8, 10.0), wp.float32), 4, 2, array([0.5], wp.float32), 0.01, 3, 6, 0, 8,
+    ]  # fmt: skip
+    launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
+    rises = levels.numpy().reshape(2, 4) > 3
+    np.testing.assert_array_equal(rises, np.tile([False, False, True, True], (2, 1)))
+
+
+def test_a_single_listed_pixel_is_resolved(rng):
+    """If only one pixel is listed, the kernel must set only this pixel, to the sum over its nine tiles."""
+    sums = subdivision.FilteredSums()
+    filtered = rng.uniform(size=(12, 9, 4))
+    sums.filtered_sums, sums.changes = array(filtered, wp.vec4f), array(np.ones(12), wp.float32)
+    sums.levels, sums.lighting = array(np.ones(12), wp.uint8), array(np.ones(12), wp.uint8)
+    sums.filter_normalisation = array(np.ones((2, 3)), wp.float32)
+    outputs = [
+        wp.zeros(12, dtype=dtype, device="cpu")
+        for dtype in (wp.vec3f, wp.float32, wp.float64, wp.uint8, wp.bool, wp.bool)
+    ]
+    inputs = [sums, array([6], wp.int32), array(np.ones(12), wp.uint8), 4, 3, 1.0, 1.0, 0, 1]
+    launch(subdivision.resolve_pixels, (1, 1), inputs, outputs, device="cpu")
+    expected = np.zeros((12, 3))
+    expected[6] = filtered[[1, 2, 3, 5, 6, 7, 9, 10, 11], np.arange(9), :3].sum(axis=0)
+    np.testing.assert_allclose(outputs[0].numpy(), expected, rtol=1e-5)
+
+
+def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most, share):
     """Return the levels that the kernel ``select_levels`` must compute, and the changes on which they depend.
 
-    The change of a pixel is half the root mean square second difference of the colours of its quadrants. At edges of
-    the mesh or of shadows, it is multiplied by a factor. All pixels are subdivided.
+    The change of a pixel is half the root mean square second difference of the colours of its quadrants, times
+    ``share``. At edges of the mesh or of shadows, it is multiplied by a factor. All pixels are subdivided.
     """
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
     square = np.zeros(cells.shape[:2])
     square[1:-1] += np.sum((cells[2:] - 2.0 * cells[1:-1] + cells[:-2]) ** 2, axis=2)
     square[:, 1:-1] += np.sum((cells[:, 2:] - 2.0 * cells[:, 1:-1] + cells[:, :-2]) ** 2, axis=2)
-    changes = 0.5 * np.sqrt(square.reshape(height, 2, width, 2).mean(axis=(1, 3)))
+    changes = 0.5 * share * np.sqrt(square.reshape(height, 2, width, 2).mean(axis=(1, 3)))
     levels = np.zeros(marks.shape, dtype=int)
     for row, column in np.ndindex(height, width):
         near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
@@ -160,7 +196,13 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
     return changes, levels
 
 
-def test_levels_follow_from_second_differences_of_colours(rng):
+@pytest.mark.parametrize(("before", "share"), [(1e9, 1.0), (0.0, 0.5)])
+def test_levels_follow_from_second_differences_of_colours(before, share, rng):
+    """Changes of pixels and their levels must follow from the second differences of the colours of quadrants.
+
+    A change is limited to the range from half of the change by second differences to all of it. ``before`` is the
+    change before this limit, which is the difference from the colour by one ray.
+    """
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
     # Where colours change linearly along a row, a pixel needs no further subdivision: the kernel must not select a
@@ -174,14 +216,14 @@ def test_levels_follow_from_second_differences_of_colours(rng):
     sums = subdivision.FilteredSums()
     sums.quadrants = array(quadrants.reshape(-1, 4, 3), wp.vec3f)
     sums.lighting = array(lighting.ravel().astype(np.uint8), wp.uint8)
-    changes, chosen = array(np.full(height * width, 1e9), wp.float32), array(np.ones(height * width), wp.uint8)
+    changes, chosen = array(np.full(height * width, before), wp.float32), array(np.ones(height * width), wp.uint8)
     inputs = [
         sums, array([], wp.int32), array(marks.ravel(), wp.uint8), array(colours.reshape(-1, 3), wp.vec3f),
         width, height, array([floor], wp.float32), tolerance, 1, 6, 2, 0,
         height * width,
     ]  # fmt: skip
     launch(subdivision.select_levels, (1, 1), inputs, [changes, chosen], device="cpu")
-    expected, levels = levels_by_hand(quadrants.astype(float), marks, colours, lighting, floor, tolerance, 6)
+    expected, levels = levels_by_hand(quadrants.astype(float), marks, colours, lighting, floor, tolerance, 6, share)
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2

@@ -11,7 +11,7 @@ from conftest import launch, relative_errors, slow
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
-from warpdiff.kernels.disc_samples import draw_disc
+from warpdiff.kernels.disc_samples import MIRROR_SHARE, draw_disc
 from warpdiff.kernels.light_samples import Lights
 from warpdiff.kernels.structs import Pixels
 from warpdiff.lights.base import orthonormal_pair
@@ -58,8 +58,11 @@ def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
     np.testing.assert_allclose(sizes, 0.5 * math.radians(diameter / 2.0), rtol=1e-9)
 
 
-def drawn_towards(diameter, *, normal, view, lobe):
-    """Return directions that the kernel draws on a disc light, and their weights, for 64 × 64 cells of one pixel."""
+def drawn_towards(diameter, *, normal, view, lobe, extent=0.0):
+    """Return directions that the kernel draws on a disc light, and their weights, for 64 × 64 cells of one pixel.
+
+    ``extent`` is the standard deviation of the Gaussian source that a sample represents, in radii of the disc.
+    """
     count, light = 64 * 64, wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter).lobes()[0]
 
     def repeated(value):
@@ -74,7 +77,7 @@ def drawn_towards(diameter, *, normal, view, lobe):
     pixels.normal, pixels.to_view = repeated(normal), repeated(view)
     towards = wp.zeros(count, dtype=wp.vec4f, device="cpu")
     tiles = wp.array([5], dtype=wp.int32, device="cpu")
-    inputs = [lights, 0, 0.0, lobe, pixels, tiles, 16, 64, 0, 1, 0, count]
+    inputs = [lights, 0, extent, lobe, pixels, tiles, 16, 64, 0, 1, 0, count]
     launch(draw_disc, (1, 1), inputs, [towards], device="cpu")
     return towards.numpy()
 
@@ -118,6 +121,21 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     for values, ends in ((share, (0.0, 1.0)), (around, (-math.pi, math.pi))):
         result = np.histogram(values, 8, ends, weights=weights[inside])[0] / count
         np.testing.assert_allclose(result, 0.125, atol=0.012)
+
+
+def test_directions_near_the_mirror_direction_spread_as_the_lobe_and_the_source_of_a_sample():
+    """Of the directions around the mirror direction, 39 % must be within one standard deviation, as in a Gaussian.
+
+    The variance is the sum of the variances of the zeroth order's lobe and of the source that a sample represents. The
+    other directions are uniform over a disc, which is smaller than the light because samples have an extent.
+    """
+    axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(5.0)
+    lobe, extent = 0.01, 0.1
+    towards = drawn_towards(10.0, normal=axis, view=axis, lobe=lobe, extent=extent)
+    spread, edge = math.hypot(lobe, extent * radius), radius * math.sqrt(1.0 - 4.0 * extent**2)
+    near = np.mean(np.linalg.norm(towards[:, :3] - axis, axis=1) < spread)
+    expected = MIRROR_SHARE * (1.0 - math.exp(-0.5)) + (1.0 - MIRROR_SHARE) * (spread / edge) ** 2
+    assert near == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 120, 0.02, 0.1), slow(20.0, 320, 0.02, 0.1)])

@@ -11,6 +11,7 @@ from conftest import at_angle
 import warpdiff as wd
 from bench.truth import flat_materials, reference
 from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import transmittances
 
 UP = (0.0, 0.0, 1.0)
 GOLD = wd.Material.metal("Au")
@@ -155,6 +156,10 @@ def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
         file.write_text(SITE_YAML.replace("        0.8 2.2", f"        {row}\n        0.8 2.2"))
         with pytest.raises(ValueError, match=re.escape(f"line 9 must have 3 numbers (wavelength, n, k), got {row!r}")):
             wd.Material.from_file(file)
+    # An empty line at the beginning of a file counts as a line.
+    file.write_text("\n" + SITE_YAML.replace("2.2 5.0", "2.2"))
+    with pytest.raises(ValueError, match="line 10 must have 3 numbers"):
+        wd.Material.from_file(file)
     # Comments, blank lines and the sections that follow a table are no rows of the table.
     file.write_text(
         SITE_YAML.replace("        0.8", "\n        # by hand\n        0.8") + "SPECS:\n    n_is_absolute: true\n"
@@ -268,6 +273,23 @@ def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
     xyz = wd.reflectance(heightfield, lights, views, plan=plan, material=MATERIALS[name])
     expected = np.array([mirrored(MATERIALS[name], angle) for angle in angles])
     np.testing.assert_allclose(xyz, expected, rtol=3e-3)
+
+
+def test_the_light_that_reaches_a_pigment_has_the_colour_of_the_integral_over_the_wavelength():
+    """The linear RGB of the transmittance 1 − R must equal an integral of a pigment's light over the wavelength λ.
+
+    At each λ, the light of a white pigment is proportional to λ² times the illuminant D65. The colour is relative to
+    that of the white pigment. The expected integral uses the observer and illuminant of the package colour-science.
+    """
+    material = wd.Material.dielectric(1.52).coated(wd.Material.dielectric(2.4), 120.0)
+    result = transmittances(1.0, material)
+    nm, cosines = np.arange(380, 781), np.linspace(0.0, 1.0, len(result))
+    white = (nm**2)[:, None] * colorimetry.products_by_colour_science("D65")
+    through = 1.0 - flat_materials.reflectance(material, 1e-3 * nm, cosines[:, None])
+    expected = (through @ white @ colorimetry.XYZ_TO_RGB.T) / (white.sum(axis=0) @ colorimetry.XYZ_TO_RGB.T)
+    np.testing.assert_allclose(result, expected, atol=1e-9)
+    # The transmitted light is coloured. If it were white, the result would not depend on the weights of wavelengths.
+    assert np.ptp(expected[-1]) > 0.05
 
 
 def test_all_evaluations_agree_on_gold():

@@ -6,6 +6,7 @@ vector.
 """
 
 import dataclasses
+import math
 import warnings
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from conftest import at_angle, hemisphere, slow
 
 import warpdiff as wd
+from warpdiff.diffraction.phase_series import EXPANSIONS
 
 UP = [0.0, 0.0, 1.0]
 
@@ -63,6 +65,28 @@ def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
     wd.plan(deep(6.2), UP, UP)
+
+
+def test_a_plan_reports_a_thousand_times_the_remainder_of_amplitudes_where_the_series_ends():
+    """The truncation error of a plan must be 1,000 times the remainder of the series of amplitudes.
+
+    This holds for a height range of 6.5 µm, for which even the largest number of terms gives too large errors.
+    """
+    with pytest.warns(wd.WarpdiffWarning, match="128 terms are too few"):
+        plan = wd.plan(deep(6.5), UP, UP, strict=False)
+    argument = math.pi * 6.5 * 2.0 / 0.38
+    assert plan.truncation == pytest.approx(1e3 * EXPANSIONS["jacobi-anger"].remainder(argument, 128), rel=1e-6)
+
+
+def test_the_largest_height_range_of_a_series_depends_on_the_shortest_wavelength():
+    """Height ranges above 100 wavelengths of 380 nm must be refused, and smaller ranges must be accepted.
+
+    The path is twice the height range, so that the limit is 19 µm. At 780 nm the limit would be 39 µm.
+    """
+    with pytest.raises(ValueError, match=r"25 µm, which is 1\.3e\+02 wavelengths of path"):
+        wd.plan(deep(25.0), UP, UP, strict=False)
+    with pytest.warns(wd.WarpdiffWarning, match="terms are too few"):
+        wd.plan(deep(18.9), UP, UP, strict=False)
 
 
 def test_the_automatic_series_is_accurate_at_heights_where_taylor_fails(rng):
