@@ -51,8 +51,8 @@ def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDA
     """Return how many equally spaced nodes quintic interpolation requires to meet an error, for each of n functions.
 
     Args:
-        rates: Largest angular frequency of each function, shape (n,).
-        span: Length of the range of the nodes.
+        rates: Largest angular frequency of each function [radians per unit of its argument], shape (n,).
+        span: Length of the range of the argument that the nodes cover.
         truncation: Permitted relative error of the interpolation.
     """
     step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)

@@ -44,7 +44,7 @@ def offset_and_scale(heights_um: NDArray[np.float64]) -> tuple[float, float]:
 
 
 class HeightTerms:
-    """Fourier coefficients of heights: transforms X_n at the sites (frequencies), and factors b_n at nodes of |κ|.
+    """Fourier coefficients of exp(2πiκh), as transforms X_n at the sites (frequencies) and factors b_n at nodes of |κ|.
 
     A coefficient is the sum of b_n iⁿ X_n over n. The nodes are the values of |κ| = |w|/λ at which it is computed.
 
@@ -116,7 +116,7 @@ class HeightTangent:
         self._origin, self._terms = origin, terms
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``HeightTerms.at``, to first order."""
+        """Return the changes, to first order, of the Fourier coefficients that ``HeightTerms.at`` returns."""
         return self._origin._sums(self._terms, part)
 
 

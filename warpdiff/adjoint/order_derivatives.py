@@ -53,8 +53,8 @@ _AT_HORIZON = 1e-3
 _MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
 # Names of the variables of derivatives that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
-# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. A matrix has one row per
-# direction to the light and one column per order.
+# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. Each wavelength has a
+# matrix with one row per direction to the light and one column per order.
 _BYTES_PER_SAMPLE, _BYTES_PER_ELEMENT = 120.0, 250.0
 
 

@@ -94,7 +94,10 @@ class PeriodSums:
         return result
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of the power |P|² for one change of the heights [µm]."""
+        """Return a function that computes the changes of |P|² of pairs (direction, wavelength).
+
+        ``change`` is the change of the heights [µm].
+        """
 
         @single_threaded_blas()
         def changes(pairs: Pairs) -> NDArray[np.float64]:

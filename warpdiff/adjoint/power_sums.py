@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.sites import Block, Sites
     from warpdiff.adjoint.surface_terms import SurfaceTerms
 
-# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of the frequency q,
-# the elements of the matrix M of the Gaussian weights, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩
-# itself.
+# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of the frequency
+# q = (u, v)/λ, the elements of the matrix M of the Gaussian weights, |κ| = |w|/λ, and the lengths of the patch. The
+# last column is ⟨|P|²⟩ itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
 # Index of the column with the weighted sum of Fourier coefficients itself in the result of
@@ -74,10 +74,10 @@ class PowerSums(Protocol):
 
 
 class LobeSums:
-    """Diffracted power ⟨|P|²⟩ from Fourier coefficients with Gaussian weights, for one coherence of the light.
+    """Diffracted power ⟨|P|²⟩ from Fourier coefficients H with Gaussian weights, for one coherence of the light.
 
-    For averaged coherence windows and light sources, powers are summed. For centred windows, amplitudes are summed, and
-    the sum is squared.
+    For averaged coherence windows and light sources, powers |H|² are summed. For centred windows, amplitudes H are
+    summed, and the magnitude of the sum is squared.
     """
 
     def __init__(
@@ -85,15 +85,15 @@ class LobeSums:
         size_um: tuple[float, float], exponent: float, centre: tuple[float, float] = (0.0, 0.0),
         moving_um: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
-        """Compute the Chebyshev series of the Fourier coefficients.
+        """Compute the Chebyshev series of the Fourier coefficients H in |κ| = |w|/λ.
 
         Args:
             terms: Fourier coefficients of the surface.
-            rows: Chebyshev series, which are computed here. They are series of powers or of amplitudes.
-            block: Rectangle of orders that have coefficients.
+            rows: Chebyshev series of powers |H|² or of amplitudes H, which are computed here.
+            block: Rectangle of orders whose Fourier coefficients are summed.
             sites: Frequencies that have a series, and for each order of the block the index of its series.
             size_um: Size of the patch (y, x) [µm].
-            exponent: Coefficients with weights below e^−exponent are neglected.
+            exponent: Coefficients with Gaussian weights below e^−exponent are neglected.
             centre: Centre of the coherence window (y, x), relative to the size of the patch; only for amplitudes.
             moving_um: Coordinates (y, x) of the centre [µm] if the caller has fixed them. (0, 0) states that the centre
                 moves in proportion to the size of the patch.
