@@ -48,8 +48,8 @@ FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings of one octave. The value is limited by
-# the size of the kernel's local vectors.
+# Number of azimuth samples (polar angles of (u, v)) whose colours the kernel `blur` adds in one pass over the rings of
+# one octave of |(u, v)|. A ring is a circle of constant |(u, v)|. The value is limited by the size of local vectors.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts into which the footprint of a pixel is divided if the polar angle of (u, v) changes within the
@@ -62,7 +62,7 @@ DEVIATIONS = 3.0
 
 @wp.struct
 class FootprintTaps:
-    """Tables of weights with which a look-up adds the colours of azimuths (polar angles), or of rings (radii).
+    """Tables of weights with which a look-up adds the colours at azimuths (polar angles), or at rings (radii).
 
     Each weight is the value of the spline that interpolates between azimuths (or rings), blurred by a Gaussian. Weights
     are tabulated by the variance of this Gaussian.
@@ -126,17 +126,17 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.struct
     class Colours:
-        rows: wp.array(dtype=row_t)  # X, Y and Z by mip level, octave, azimuth and ring; the ring changes fastest
+        rows: wp.array(dtype=row_t)  # XYZ by mip level, octave of |(u, v)|, azimuth, ring; the ring changes fastest
         w_basis: wp.array(dtype=w_basis_t)  # functions of w at equal steps in |w|
         least_w: wp.float32  # |w| of the first entry of ``w_basis``
         per_w: wp.float32  # number of entries of ``w_basis`` per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, shape (levels, octaves)
-        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, shape (levels, octaves)
-        # Standard deviation of the blur in angle of the rows of each mip level [rad], shape (levels, octaves).
+        first_rows: wp.array2d(dtype=wp.int32)  # index of the row at azimuth 0, shape (mip levels, octaves)
+        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples per ring, shape (mip levels, octaves)
+        # Standard deviation of the blur in angle of the table rows [rad], by mip level and octave of |(u, v)|.
         blurs: wp.array2d(dtype=wp.float32)
         rings_per_octave: wp.int32
         rings_per_log: wp.float32  # number of rings per unit of ln |(u, v)|
-        octaves_per_ring: wp.float32  # one over the number of rings per octave
+        octaves_per_ring: wp.float32  # one over the number of rings per octave of |(u, v)|
         decimation_scale: wp.float32  # large values prevent look-ups from skipping rings, see ``colour_table``
         ring_of_one: wp.float32  # fractional index of the ring at which |(u, v)| would be 1
         least_uv: wp.float32  # the spectrum is constant below this |(u, v)|
@@ -168,8 +168,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends of a ring.
 
-        The splines pass through the colours ``values`` of one octave of the table. Each coefficient is a weighted sum
-        of the values at 2 ``FILTER_REACH`` + 1 azimuths of the same ring.
+        A ring is a circle of constant |(u, v)|, with azimuth samples. The splines pass through the colours ``values``
+        of one octave of |(u, v)|. Each coefficient is a weighted sum of the values at 2 ``FILTER_REACH`` + 1 azimuths
+        of the same ring.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -214,8 +215,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # Each ring (circle) has a sum over azimuths. A pass over the rings reads and writes all these sums. Several
-            # azimuths are therefore added in one pass, which saves memory accesses.
+            # Each ring (circle of constant |(u, v)|) has a sum over azimuth samples. A pass over the rings reads and
+            # writes all these sums. Several samples are therefore added in one pass, which saves memory accesses.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):

@@ -17,8 +17,8 @@ from warpdiff.kernels.thresholds import PERCENTILE
 # The values were chosen freely. With twice the deviation, pictures are blurred; with twice the truncation, a cell would
 # contribute to more than nine pixels.
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
-# Integrals of a pixel's filter over the previous pixel, the pixel itself and the next pixel of a row. They are derived
-# from FILTER_SIGMA and FILTER_CUT.
+# Integrals of the Gaussian filter of a pixel over the previous pixel, the pixel itself and the next pixel of a row.
+# They are derived from FILTER_SIGMA and FILTER_CUT.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # The finest level of refinement, with 4,096 subpixel cells per pixel. The value is limited by time: each level has four

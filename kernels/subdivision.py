@@ -100,8 +100,9 @@ class FilteredSums:
     # lights with random directions, the array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral
-    # of the pixel filter over one pixel, divided by the sum of the weights of the cells of that pixel.
+    # Factors that normalise sums over cells, for each level n (2ⁿ × 2ⁿ cells per pixel) and each of three pixels in a
+    # row. A factor is the integral of the pixel filter over one pixel, divided by the sum of the weights of the cells
+    # of that pixel.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 

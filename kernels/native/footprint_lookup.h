@@ -46,9 +46,9 @@ constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // colour-matching function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Gaussian with which rings are weighted if the blur across rings is wide. It is truncated at `deviations` standard
-// deviations from its centre, and has the variance 1 after the truncation. Its variance before the truncation is
-// larger: 1/`per_variance`.
+// Gaussian with which rings (circles of the colour table) are weighted if the blur across rings is wide. It is
+// truncated at `deviations` standard deviations from its centre, and has the variance 1 after the truncation. Its
+// variance before the truncation is larger: 1/`per_variance`.
 struct CutGaussian {
     float deviations, per_variance;
 };
@@ -84,18 +84,18 @@ struct Parts {
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments of the parts into which the footprints of pixels are divided. A segment is a group of consecutive rings that
-// a part of a footprint covers within one octave.
+// Segments: groups of consecutive rings (circles of constant |(u, v)| in the colour table) that are added together. The
+// rings of a segment lie within one octave (factor of 2) of |(u, v)|, and within one part of a pixel's footprint.
 template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
     // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth of
-    // the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of
-    // ln |(u, v)|. `behind` is the difference between the mean of ln |(u, v)| and its value at the centre. `blur` is
-    // the variance of the footprint in angle at the centre, and `level_blur` the variance that the rows of the mip
-    // level already have. Both variances are in steps of the table of weights, so that their difference is an index
-    // into the table. A rounding offset of ½ is included in `level_blur`.
+    // the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring of the segment
+    // from the mean of ln |(u, v)|. `behind` is the difference between the mean of ln |(u, v)| and its value at the
+    // centre. `blur` is the variance of the footprint in angle at the centre, and `level_blur` the variance that the
+    // rows of the mip level already have. Both variances are in steps of the table of weights, so that their difference
+    // is an index into the table. A rounding offset of ½ is included in `level_blur`.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
@@ -366,8 +366,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // If only every n-th ring of the table is added, the index of the first added ring is a multiple of n, so
-            // that neighbouring pixels use the same rings.
+            // If only every n-th ring (circle) of the table is added, the index of the first added ring is a multiple
+            // of n, so that neighbouring pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -381,7 +381,8 @@ struct NextRing {
 };
 
 // Divide parts of footprints into segments, until all parts are divided or the batch of segments is full. A segment has
-// consecutive rings of a part of a footprint, within one octave.
+// consecutive rings of the colour table (circles of constant |(u, v)|) that one part of a footprint covers. All of them
+// are in one octave (factor of 2) of |(u, v)|.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
@@ -404,8 +405,8 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select a mip level (a blurred copy of the table) for each segment, a group of rings within one octave. For each
-// segment, compute the azimuth, the blur over the angle and the first row on its level.
+// Select a mip level (a blurred copy of the table) for each segment, a group of table rings within one octave of |(u,
+// v)|. For each segment, compute the azimuth, the blur over the angle and the first row on its level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -438,8 +439,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// Return the weight of the m-th ring of a segment (a group of rings): the value of a skewed Gaussian around the centre
-// of the part of the footprint, up to a constant factor.
+// Return the weight of the m-th ring of a segment (a group of rings of the colour table): the value of a skewed
+// Gaussian around the centre of the part of the footprint, up to a constant factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -448,9 +449,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings). Compute also the blur
-// that the mip level lacks, as an index of the table of weights. The width of a footprint in (u, v) is the same at all
-// rings, so that its angular width is inversely proportional to the radius.
+// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings of the colour table).
+// Compute also the blur that the mip level lacks, as an index of the table of weights. The width of a footprint in (u,
+// v) is the same at all rings, so that its angular width is inversely proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -462,8 +463,8 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// Return the `count` rows around an azimuth that are added for the m-th ring of a segment (a group of rings). Return
-// also the index of the weights of these rows.
+// Return the `count` table rows around an azimuth (polar angle) that are added for the m-th ring of a segment, a group
+// of rings. Return also the index of the weights of these rows.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
@@ -534,8 +535,8 @@ struct SegmentRings {
     }
 };
 
-// Add the table rows of segments (groups of rings). After the last segment of a part of a footprint, convert the sum to
-// a colour and add this colour to the pixel.
+// Add the rows of the colour table that belong to segments (groups of rings). After the last segment of a part of a
+// footprint, convert the sum to a colour and add this colour to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)

@@ -124,8 +124,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
         const int first_direction = numbers<const int>(grid.first_directions)[block];
         const double* const radii = numbers<const double>(grid.radii) + numbers<const int>(grid.first_radii)[block];
         if (radii[count - 1] < radius - reach || radii[0] > radius + reach) continue;
-        // Only azimuths from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The range is
-        // wider by one azimuth on each side because of rounding errors.
+        // Only azimuth samples from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The
+        // range is wider by one azimuth on each side because of rounding errors.
         int begin = 0, end = azimuths;
         if (radius > 1.01 * reach) {
             const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;

@@ -57,7 +57,7 @@ struct FloatVector<8> {
 };
 #endif
 
-// A row of WIDTH floats, stored as the longest vectors into which the row can be divided. On the CPU, WIDTH is a
+// A table row of WIDTH floats, stored as the longest vectors into which the row can be divided. On the CPU, WIDTH is a
 // multiple of four.
 template <int WIDTH>
 struct Row {

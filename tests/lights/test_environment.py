@@ -72,8 +72,8 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     # so that the error of the mean is mainly that of the colour table.
     result = result.mean(axis=(0, 1))
     # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
-    # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps
-    # of the direction's x and y components, so that dω = dx dy / cos θ.
+    # adds ρ L dω / Ω to the reflected radiance, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers.
+    # The grid has equal steps of the direction's x and y components, so that dω = dx dy / cos θ.
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
     inside = x**2 + y**2 < 1.0
@@ -218,7 +218,7 @@ def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, squar
 
 @dataclasses.dataclass(frozen=True)
 class RayOfASky(wd.DirectionalLight):
-    """Directional light whose illuminant is a radiance divided by λ², like a ray of a sky."""
+    """Directional light whose illuminant is a spectral radiance divided by λ², like a ray of a sky."""
 
     def lobes(self):
         return tuple(dataclasses.replace(lobe, is_of_sky=True) for lobe in super().lobes())

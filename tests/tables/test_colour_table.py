@@ -158,9 +158,9 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
     """Colours that the kernel computes must equal float64 sums over spline coefficients of the spectrum.
 
-    A recursive filter computes the coefficients from samples of the spectrum, which is 0 beyond its last octave. The
-    filter begins ``reach`` samples beyond the samples that colours require. Over this distance, the error of the
-    filter's first value decays. With ``reach`` = 0, the first value itself must be correct.
+    A recursive filter computes the coefficients from samples of the spectrum, which is 0 beyond its last octave of the
+    frequency. The filter begins ``reach`` samples beyond the samples that colours require. Over this distance, the
+    error of the filter's first value decays. With ``reach`` = 0, the first value itself must be correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -168,7 +168,8 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
     rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
     starts = nodes * (np.cumsum(rays) - rays)
     if octaves == 2:
-        # The memory behind the last octave belongs to other data and must not be read, so it is NaN.
+        # The memory behind the samples of the last octave (of the frequency) belongs to other data and must not be
+        # read, so it is NaN.
         rows[starts[2] :] = np.nan
     matrices = rng.normal(size=(taps, terms, w_basis_size)).astype(np.float32)
     weights = rng.normal(size=(taps, 3)).astype(np.float32)
@@ -208,7 +209,7 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
 def test_points_are_splines_through_the_rows(fingers, rng):
     """Look-ups of single directions must equal sums in float64 of table rows, weighted by splines.
 
-    The equality must also hold at the limits of octaves and at an azimuth of 0.
+    The equality must also hold at the limits of octaves (factors of 2) of |(u, v)|, and at an azimuth of 0.
     """
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
@@ -267,8 +268,8 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # Each ring of the spectrum has a spline. For a spectrum that is linear in ln λ, the mean weighted by the spline
-    # equals the value at the centre of the spline.
+    # Each ring (circle of constant frequency) of the spectrum has a spline. For a spectrum that is linear in ln λ, the
+    # mean weighted by the spline equals the value at the centre of the spline.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
     np.testing.assert_allclose(places @ weights * step / white, exact, atol=0.5 * step)

@@ -48,7 +48,8 @@ def test_a_table_meets_its_tolerance(fingers, plan, rng):
     errors = relative_errors(result, exact)
     assert np.median(errors) < 5e-3
     assert np.percentile(errors, 95.0) <= 1e-1
-    # A tolerance of 0.1 requires only few rings. The median luminance must still be accurate to 0.3 %.
+    # A tolerance of 0.1 requires a table with only few rings (circles of constant |(u, v)|). The median luminance must
+    # still be accurate to 0.3 %.
     assert np.median(result[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
 
 

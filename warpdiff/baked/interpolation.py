@@ -69,7 +69,10 @@ def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray
 
 
 def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Interpolate values at points (u, v), shape (n, 2), by splines along four rings and by cubics across the rings."""
+    """Interpolate values at points (u, v), shape (n, 2), from the four nearest rings (circles of constant |(u, v)|).
+
+    The interpolation is by splines along the rings, and by cubic polynomials across the rings.
+    """
     u, v = uv.T
     last = ring_of_largest(grid.rings, grid.azimuths)
     ring = np.log2(np.maximum(np.hypot(u, v) / _LARGEST, 0.5 * 2.0 ** (-last / grid.rings))) * grid.rings + last
@@ -93,7 +96,7 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
 
 
 def b_spline(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the value of a cubic B-spline at t, 0 to 1, as weights of its coefficients at the nodes −1, 0, 1 and 2."""
+    """Return the weights of the coefficients at −1, 0, 1 and 2 in the value of a cubic spline at t, 0 to 1."""
     left = 1.0 - t
     return [
         left**3 / 6.0, 2.0 / 3.0 - t**2 + t**3 / 2.0, 2.0 / 3.0 - left**2 + left**3 / 2.0, t**3 / 6.0

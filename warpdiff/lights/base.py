@@ -118,8 +118,8 @@ class Lobe:
             ignored. None for a light that is infinitely far away.
         profile: Factor of the power by direction of emission; None is equal light in all directions.
         name: Argument and class of the light, for messages; pictures set it.
-        is_of_sky: Whether ``illuminant`` is a radiance L divided by λ², as for suns of an environment. A white pigment
-            (base colour of the mesh) then has the chromaticity of L.
+        is_of_sky: Whether ``illuminant`` is a spectral radiance L(λ) divided by λ², as for suns of an environment. A
+            white pigment (base colour of the mesh) then has the chromaticity of L.
     """
 
     to_light: tuple[float, float, float]

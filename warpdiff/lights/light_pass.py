@@ -174,14 +174,14 @@ class PassContext:
         return np.where(surfaces[finishes] == surface, gains, np.float32(0.0))
 
     def pigment_white(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the colour of a white pigment in linear sRGB, relative to the mirror that defines the picture's unit.
+        """Return the linear sRGB of a white pigment (base colour), relative to the mirror that defines the unit.
 
-        ``is_of_sky`` states whether ``illuminant`` is the radiance of a sky divided by λ².
+        ``is_of_sky`` states whether ``illuminant`` is the spectral radiance of a sky divided by λ².
         """
         return colorimetry.xyz_to_rgb(self.white_xyz(illuminant, is_of_sky=is_of_sky))
 
     def white_xyz(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the XYZ of a white pigment, relative to the mirror that defines the picture's unit."""
+        """Return the XYZ of a white pigment (base colour), relative to the mirror that defines the picture's unit."""
         return reflectance_factors.pigment_white(illuminant, *self._unit, is_of_sky=is_of_sky)
 
 

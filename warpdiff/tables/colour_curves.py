@@ -43,8 +43,8 @@ _ENTRIES_OVER_W = 160
 # this |w|, or by this share of their largest magnitude over all |w|, whichever is larger.
 _LEAST_SCALE_OVER_W = 1e-2
 # Number of wavelengths at which the colour curves (illuminant times colour-matching function times reflectance) are
-# sampled between two neighbouring knots of their splines. The splines, which have one knot per ring of the table, are
-# fitted to these samples.
+# sampled between two neighbouring knots of their splines. The splines, which have one knot per ring of the table
+# (circle of constant |(u, v)|), are fitted to these samples.
 _SAMPLES_PER_NODE = 64
 # Splines are fitted to colour curves (illuminant times colour-matching function times reflectance). Errors of the fit
 # are relative to the values of a curve, which vanish at both ends of the visible range. The divisor of an error is
@@ -92,7 +92,9 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours on the rings of one octave: the spectrum, converted by a matrix, times a factor per ring.
+    """Summand of the colours in one octave of |(u, v)|: the spectrum, converted by a matrix, times a factor per ring.
+
+    A ring is a circle of constant |(u, v)|.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -110,8 +112,8 @@ class Projection:
     Attributes:
         ws: Tabulated values of |w|, equally spaced, shape (entries,).
         w_basis: Functions of w that all colours of a table share, at the values ``ws``, shape (entries, m).
-        weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
-            colour, shape (rings, 3).
+        weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings (circles of constant |(u,
+            v)|/λ) that contribute to one colour, shape (rings, 3).
         matrices: Each matrix has the coefficients of the functions of w for each ring and basis term, shape
             (rings, terms, m). The colour at one |(u, v)| requires the rings |(u, v)|/λ from the longest visible
             wavelength to the shortest, and one ring more at each end.
@@ -189,9 +191,9 @@ def _material_products(
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
     """Approximate a material's reflectance, divided by the one in the colour curves, by sums of separable terms.
 
-    A separable term is a factor for each ring of |(u, v)| times a function of (w, λ). The absolute error of the ratio
-    is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the reflectance hardly
-    changes, share one function of (w, λ).
+    A separable term is a factor for each ring (circle of constant |(u, v)|) times a function of (w, λ). The absolute
+    error of the ratio is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the
+    reflectance hardly changes, share one function of (w, λ).
 
     Returns:
         Functions of (w, λ), each with its largest factor over all rings; and the separable terms of each octave.
@@ -212,8 +214,8 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # The outermost rings of the grid may have a larger |(u, v)| than 2, which no direction has. These rings use the
-    # reflectance at |(u, v)| = 2.
+    # The outermost rings (circles of constant |(u, v)|) of the grid may have a larger |(u, v)| than 2, which no
+    # direction has. These rings use the reflectance at |(u, v)| = 2.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -270,7 +272,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     """Return the coefficients of splines that are fitted to illuminant times colour-matching functions times material.
 
     Args:
-        rings: Number of rings per octave of the table.
+        rings: Number of rings (circles of constant |(u, v)|/λ) per octave (factor of 2) of the radius.
         illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
         lines: Whether rows of the power spectrum are powers per unit area of frequency, as ``holds_lines`` of
             :class:`SpectrumBasis` states.
@@ -283,8 +285,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must have the exact colour of white, up to rounding. The weights with which the rings of
-    # the spectrum contribute to a colour are scaled accordingly.
+    # A constant power spectrum must have the exact colour of white, up to rounding. The weights with which the rings
+    # (circles of constant |(u, v)|/λ) of the spectrum contribute to a colour are scaled accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 

@@ -51,7 +51,8 @@ _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
 # directions to the light and to the viewer.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
-# Number of azimuth samples that a CPU thread processes in one launch of a kernel while a table is computed.
+# Number of azimuth samples (polar angles of (u, v)) that a CPU thread processes in one launch of a kernel while a table
+# is computed.
 _AZIMUTHS_OF_SLICE = 32
 
 
@@ -118,8 +119,8 @@ class ColourTable:
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
         """Fill the rows of some mip levels with the coefficients of splines.
 
-        A row has the colour at one ring and azimuth. ``compute`` writes the colours of one octave of a level, through
-        which the splines pass.
+        A row has the colour at one ring (circle of constant |(u, v)|) and azimuth (polar angle). ``compute`` writes the
+        colours of one octave (factor of 2) of |(u, v)| in a level, through which the splines pass.
         """
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])

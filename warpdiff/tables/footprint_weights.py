@@ -34,8 +34,8 @@ _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 _OWN_BLUR_SPACINGS = 1.1
 # Weights of the filter that converts sampled values to coefficients of quadratic splines; the outermost are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two neighbouring samples for which the weights of taps (the samples that a look-up adds)
-# are tabulated.
+# Number of positions between two neighbouring samples of a colour table for which the weights of taps (the samples that
+# a look-up adds) are tabulated.
 _TAP_POSITIONS = 64
 # A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is the variance of
 # the whole footprint, times this number divided by n. If the number is doubled, parts become 1.4 times as wide, and
@@ -106,7 +106,7 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of the coefficients of a spline whose sum is the spline, blurred by a Gaussian.
+    """Return the weights of spline coefficients whose weighted sum is the value of the spline, blurred by a Gaussian.
 
     The Gaussian is truncated at the outermost coefficient.
     """

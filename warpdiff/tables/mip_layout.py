@@ -32,8 +32,9 @@ _SAMPLE_SPACING_SIGMAS = 1.6
 # The spectrum is integrated along the radius, from one ring (circle) to the next. This is the smallest number of
 # samples per ring. The 99th percentile of the error was measured: 7e-4 with one sample, and 2e-5 with two samples.
 _FEWEST_DIVISIONS = 2.0
-# Radius of the innermost ring, in standard deviations of the spectrum's blur by the coherence window. The number was
-# derived from a Gaussian of this width: within the radius, it deviates from a constant by at most (1/50)²/2 = 2e-4.
+# Radius of the innermost ring (circle of constant |(u, v)|/λ), in standard deviations of the spectrum's blur by the
+# coherence window. The number was derived from a Gaussian of this width: within the radius, it deviates from a constant
+# by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
 # Standard deviation by which the spectral lines under a light source are blurred in a table, in distances of azimuth
 # samples. Splines represent lines of this width accurately.
@@ -84,9 +85,9 @@ class MipLayout:
         """Return the layout of a table for a coherence window, whose spectrum is smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour uses up to three rings of the spectrum beyond its octave of frequencies, and the spline of a look-up
-        # uses two further rings. The outermost octave of frequencies therefore ends five rings beyond the largest
-        # frequency.
+        # A colour uses up to three rings (circles of constant frequency) beyond its octave of frequencies, and the
+        # spline of a look-up uses two further rings. The outermost octave of frequencies therefore ends five rings
+        # beyond the largest frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -109,7 +110,8 @@ class MipLayout:
         """Return the layout of a table for a light source of finite size: its spectrum is a sum of lines."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
-        # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
+        # The grid ends three rings (circles) beyond the largest frequency, because the spline of a look-up uses these
+        # rings, too.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
         low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / polar_grid.INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
@@ -128,8 +130,8 @@ class MipLayout:
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. All further
-            # levels have the same grid in this octave.
+            # The blur of an octave of |(u, v)| doubles from mip level to mip level, up to ``_WIDEST_BLUR_RAD``. All
+            # further levels have the same grid in this octave.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -160,7 +162,7 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the less blurred mip level from which one octave of ``level`` is computed, by a further blur.
+        """Return the less blurred mip level from which one octave (of |(u, v)|) of ``level`` is computed by a blur.
 
         The result is the most blurred level that permits an accurate further blur: the standard deviation of this blur
         is at least the distance of azimuth samples in the returned level.

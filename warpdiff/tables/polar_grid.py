@@ -44,11 +44,12 @@ INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
 )
-# Sizes of colour tables, as pairs: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
-# The two numbers of a pair were chosen so that the errors along the radius and along the azimuth are of similar size.
+# Sizes of colour tables, as pairs: rings per octave (factor of 2) of |(u, v)|, and azimuth samples per standard
+# deviation of the spectrum's blur. The two numbers of a pair were chosen so that the errors along the radius and along
+# the azimuth are of similar size.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
-# Order of convergence p. Searches for a table size assume that the error of a table with n rings per octave is
-# proportional to n^−p.
+# Order of convergence p. Searches for a table size assume that the error of a table with n rings per octave of |(u, v)|
+# is proportional to n^−p.
 ERROR_ORDER = 2.0
 # Distance above which neighbouring diffraction orders count as separate, in standard deviations of the peak of an order
 # in the spectrum.
@@ -139,7 +140,7 @@ def blur(coherence: Coherence) -> float:
 
 
 def ring_count(rings_per_octave: int) -> int:
-    """Return the number of rings of the spectrum that contribute to one colour."""
+    """Return the number of rings (circles of constant |(u, v)|/λ) of the spectrum that contribute to one colour."""
     return math.ceil((LOG_BLUE - LOG_RED) / math.log(2.0) * rings_per_octave) + 3
 
 
@@ -157,7 +158,8 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
     """Return the available table sizes in ascending order.
 
-    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
+    A size is a pair: rings per octave (factor of 2) of |(u, v)|, and azimuth samples per standard deviation of the
+    spectrum's blur.
     """
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
@@ -166,8 +168,8 @@ def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
     """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None.
 
-    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur. None means
-    that no size suffices.
+    A size is a pair: rings per octave (factor of 2) of |(u, v)|, and azimuth samples per standard deviation of the
+    spectrum's blur. None means that no size suffices.
     """
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)

@@ -128,12 +128,13 @@ class SpectrumSource(ABC):
 
         Args:
             samples: Result of :meth:`sampled`.
-            curves: Weights with which the rings of the spectrum contribute to X, Y and Z, on the device.
+            curves: Weights with which the rings (circles of constant |(u, v)|/λ) of the spectrum contribute to X, Y and
+                Z, on the device.
             options: Options of ``launch``, which include the device.
 
         Returns:
-            Function with three arguments: index of the octave, one of :attr:`Projection.matrices` on the device, and
-            array for the rows of the octave, to which the function writes.
+            Function with three arguments: index of the octave of |(u, v)|, one of :attr:`Projection.matrices` on the
+            device, and array for the rows of the octave, to which the function writes.
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
@@ -144,7 +145,7 @@ class SpectrumSource(ABC):
 
     @property
     def sampled_bytes(self) -> float:
-        """Size of the spectrum samples [bytes]; 0 for spectral lines, which are processed octave by octave."""
+        """Size of the spectrum samples [bytes]; 0 for spectral lines, which are added while colours are computed."""
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
@@ -163,11 +164,11 @@ class WindowedSpectrum(SpectrumSource):
         return spectrum_sampling.resampler(lanes, self.table.coefficients.rows.shape[2] == 1, width)
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that samples the spectrum, and the kernel that converts two octaves of it to colours."""
+        """Return the kernels that sample the spectrum and that convert two octaves of the frequency to colours."""
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
-        """Return the sampled rows of the power spectrum, ordered by octave, azimuth and ring.
+        """Return the sampled rows of the power spectrum, by octave of the frequency, azimuth and ring (radius).
 
         The result also contains, for each octave, the index of its first row and its number of azimuth samples.
         """
@@ -183,11 +184,11 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that converts samples of the spectrum, in one octave and the next octave, to colours."""
+        """Return a function that converts samples of the spectrum, in two octaves of the frequency, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Working memory for the projection to colours. Each azimuth sample has room for the values on all rings of one
-        # octave and on some rings of the next octave. On the CPU, the threads use only the beginning of this memory.
-        # The unused part of the allocation occupies no memory.
+        # Working memory for the projection to colours. Each azimuth sample has room for the values on all rings
+        # (circles) of one octave of the frequency and on some rings of the next octave. On the CPU, the threads use
+        # only the beginning of this memory. The unused part of the allocation occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -214,7 +215,7 @@ class Lines(NamedTuple):
 
 
 # Number of samples of the polar grid to which each spectral line is added. Predictions of the computing time use this
-# number. It was derived as 2 × 7 azimuth samples on each of 3 rings.
+# number. It was derived as 2 × 7 azimuth samples on each of 3 rings (circles).
 NODES_OF_LINE = 42.0
 
 
@@ -257,7 +258,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the spectral lines of one octave to a grid, and converts the sums to colours."""
+        """Return a function that adds spectral lines in one octave of |(u, v)| to a grid, and makes colours of them."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
