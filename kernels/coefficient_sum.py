@@ -128,8 +128,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     Args:
         lanes: Number of terms (weights of basis functions) in a row of the table.
         form: Kind of the coherence, one of ``FORMS``.
-        powers: Whether the scalar product of a row and the basis functions is the power of a coefficient. Otherwise a
-            coefficient has two rows, for the real and the imaginary part of its amplitude.
+        powers: Whether the scalar product of a row and the basis functions is the power |H|² of a coefficient H.
+            Otherwise a coefficient has two rows, for the real and the imaginary part of H.
 
     Returns:
         A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.

@@ -31,9 +31,10 @@ from warpdiff.kernels.structs import Footprint
 # Compile options of this module. Loops are not unrolled, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# A look-up adds table rows of neighbouring azimuths (polar angles), or of neighbouring rings (radii), with tabulated
-# weights. The value is half of the largest number of such rows. Azimuths are periodic: this number of azimuths is
-# therefore repeated before the first and after the last one. If it is doubled, tables of weights need twice the memory.
+# A look-up adds rows of the colour table at neighbouring azimuths (polar angles of (u, v)), or at neighbouring rings
+# (circles of constant |(u, v)|), with tabulated weights. The value is half of the largest number of such rows. Azimuths
+# are periodic: this number of azimuths is therefore repeated before the first and after the last one. If it is doubled,
+# tables of weights need twice the memory.
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
 # arrays of this size.
@@ -41,9 +42,10 @@ BATCH = 256
 # While a direction is looked up, the table rows of the direction with an index larger by this number are fetched from
 # memory. The value was chosen freely, because other numbers change only the computing time.
 _AHEAD = 3
-# A filter converts the azimuth samples of a ring to coefficients of the spline through them. Each coefficient is a
-# weighted sum of this number of samples on each side. A sample at a distance of n has the weight √2 · (−0.17)ⁿ. The
-# value was chosen so that the weights of samples farther away, which are omitted, are at most 6e-6.
+# A filter converts the azimuth samples of a ring (circle of constant |(u, v)| in the table) to coefficients of the
+# spline through them. Each coefficient is a weighted sum of this number of samples on each side. A sample at a distance
+# of n has the weight √2 · (−0.17)ⁿ. The value was chosen so that the weights of samples farther away, which are
+# omitted, are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
@@ -68,12 +70,13 @@ class FootprintTaps:
     are tabulated by the variance of this Gaussian.
     """
 
-    # Weights by the variance of the Gaussian, by the position between two azimuths or rings (a fraction), and by the
-    # azimuth or ring that is added; shape (variances, fractions, 2 HALF_TAPS).
+    # Weights of neighbouring azimuths (polar angles) or rings (radii) in a Gaussian blur. They are tabulated by the
+    # variance of the Gaussian, the fractional position between two azimuths or rings, and the azimuth or ring that is
+    # added; shape (variances, fractions, 2 HALF_TAPS).
     weights: wp.array3d(dtype=wp.float32)
     lengths: wp.array(dtype=wp.int32)  # number of weights that differ from 0, for each variance
-    # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuths, or of the
-    # rings.
+    # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuth samples, or of
+    # the rings (circles of constant |(u, v)|).
     per_variance: wp.float32
     # A footprint may be divided into parts, which are narrower Gaussians. For each number of parts, from 1 on: variance
     # of a part, and positions and weights of all parts.

@@ -142,9 +142,10 @@ def weigh_gains(
 ):  # fmt: skip
     """Multiply gains by the weight of one colour table in a cubic interpolation over the pitch scale of dots.
 
-    A dot is a rectangle of a grating map. The length of a direction to the light is the pitch scale of the dot,
-    relative to the smallest one of the map. Tables are equidistant in the logarithm of the pitch scale. The weight is
-    Lagrange's: at most four tables have a weight for a dot, and some weights are negative.
+    A dot is a rectangle of a grating map with a scaled copy of one height field (the cell). The length of a direction
+    to the light is the pitch scale of the dot, relative to the smallest one of the map. Tables are equidistant in the
+    logarithm of the pitch scale. The weight is Lagrange's: at most four tables have a weight for a dot, and some
+    weights are negative.
 
     Args:
         to_lights: Directions to the light in the frames of the cells.

@@ -249,7 +249,7 @@ def draw_plain_disc(
 
 @wp.struct
 class ChoicePoint:
-    """Values at a hit from which the expected brightness under many lights is computed: frame, view and lobe."""
+    """Values at a hit from which the expected brightness under many lights is computed: frame, view and BRDF."""
 
     tangent: wp.vec3f
     bitangent: wp.vec3f

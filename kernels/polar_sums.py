@@ -23,7 +23,7 @@ BLOCK_RINGS = 16
 # derivatives of a loss. Each ring is processed by a single thread.
 TOGETHER = 4
 # Largest number of terms of a Chebyshev series on a polar grid, which callers must check. The number is limited by the
-# stack, on which a thread stores the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
+# stack, on which a thread stores the polynomials of six rings (circles of the grid): 8 bytes × 6 × 256 = 12 kB.
 MOST_TERMS = 256
 
 

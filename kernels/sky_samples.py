@@ -42,8 +42,8 @@ class SkyDistribution:
     ring_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rings of (u, v)
     starts: wp.array(dtype=wp.int32)  # index of each ring's first azimuth sample; then the total number of samples
     spoke_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the azimuth samples within their ring
-    # Probability density of each azimuth sample of (u, v), per unit of ln|(u, v)| and per radian. The first ring is a
-    # disc, and its densities are per area.
+    # Probability density of each azimuth sample of (u, v), per unit of ln|(u, v)| and per radian. The first ring of
+    # constant |(u, v)| is replaced by a disc, and its densities are per area.
     densities: wp.array(dtype=wp.float32)
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc of the first ring
     per_log: wp.float32  # number of rings per unit of ln|(u, v)|

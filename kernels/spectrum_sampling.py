@@ -25,9 +25,9 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
     Args:
         lanes: Number of terms (weights of basis functions) in a row of the table of Fourier coefficients.
-        powers: Whether rows are powers, for averaged windows. A sampled row is then a weighted sum of rows. Otherwise
-            rows are amplitudes, for centred windows. A sampled row then has the power of the weighted sum of rows at
-            several κ = w/λ.
+        powers: Whether rows are powers |H|² of Fourier coefficients H, for averaged windows. A sampled row is then a
+            weighted sum of rows. Otherwise rows are amplitudes H, for centred windows. A sampled row then has the power
+            of the weighted sum of rows at several κ = w/λ.
         width: Number of terms in a sampled row.
     """
     coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
@@ -183,11 +183,11 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         octave: wp.int32, length: wp.int32, sequence: wp.array(dtype=values_t), first: wp.int32, run: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
+        """Compute colours along a few azimuths (polar angles) at a time, at the rings of one octave of |(u, v)|.
 
-        At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of the same index. The
-        frequency of blue light is in the next octave, or just beyond it. The next octave has as many azimuths as this
-        octave, or twice as many. ``sequence`` is working memory of ``length`` rows per azimuth.
+        A ring is a circle. At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of
+        the same index. The frequency of blue light is in the next octave, or just beyond it. The next octave has as
+        many azimuths as this octave, or twice as many. ``sequence`` is working memory of ``length`` rows per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):

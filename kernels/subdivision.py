@@ -215,9 +215,9 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # To select a level, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
-        # For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors. The level
-        # is rounded to a whole number.
+        # To select a level, errors are assumed to be proportional to n⁻², where n is the number of subpixel cells along
+        # an axis. For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors.
+        # The level is rounded to a whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):

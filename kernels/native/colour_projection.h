@@ -13,8 +13,8 @@
 
 namespace warpdiff {
 
-// Buffer for the rows of the spectrum along one azimuth, from which colours are computed. It has `length` rows, one per
-// ring.
+// Buffer for the rows of the spectrum along one azimuth (polar angle), from which colours are computed. It has `length`
+// rows, one per ring (circle of constant frequency).
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;

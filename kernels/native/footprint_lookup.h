@@ -34,9 +34,9 @@ constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
 // the computing time of pictures: with 0.15, pictures require 5 to 10 % more time than with 0.25.
 constexpr float WIDE = 0.25f;
 // If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
-// within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
-// the standard deviations of the angle and of ln |(u, v)|. Footprints beyond these limits surround the mirror
-// direction, and polar coordinates do not describe such footprints.
+// within a part, the curvature of the rings (circles of constant |(u, v)|) is ignored. `WIDEST_ANGLE` [rad] and
+// `WIDEST_RATIO` are upper limits for the standard deviations of the angle and of ln |(u, v)|. Footprints beyond these
+// limits surround the mirror direction, and polar coordinates do not describe such footprints.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // A look-up adds rings of the colour table (circles of constant |(u, v)|) with weights that blur over rings. Weights
 // are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger variances, they are values
@@ -70,15 +70,16 @@ struct Footprints {
 };
 
 // Parts of the footprints of several pixels. A footprint with a large range of polar angles is divided into parts,
-// which are looked up separately. A part has a position in the table, and its colour is a weighted mean over rings and
-// azimuths.
+// which are looked up separately. A part has a position in the table, and its colour is a weighted mean over rings
+// (circles of constant |(u, v)|) and azimuths (polar angles).
 template <int N>
 struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    // `turns` and `place` are the polar angle [turns] and the index of the ring at the centre of a part. `deviation` is
-    // the standard deviation of a part across the rings, and `skew` a sixth of its skewness.
+    // `turns` and `place` are the polar angle [turns] and the index of the ring (circle of constant |(u, v)|) at the
+    // centre of a part. `deviation` is the standard deviation of a part across the rings, and `skew` a sixth of its
+    // skewness.
     Batch<N> turns, place, deviation, skew;
     Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
@@ -90,18 +91,19 @@ template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth of
-    // the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring of the segment
-    // from the mean of ln |(u, v)|. `behind` is the difference between the mean of ln |(u, v)| and its value at the
-    // centre. `blur` is the variance of the footprint in angle at the centre, and `level_blur` the variance that the
-    // rows of the mip level already have. Both variances are in steps of the table of weights, so that their difference
-    // is an index into the table. A rounding offset of ½ is included in `level_blur`.
+    // `position` is the azimuth (polar angle) of the centre of a footprint's part. At a ring (circle) with t times the
+    // radius of the centre, the azimuth of the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings]
+    // of the first ring of the segment from the mean of ln |(u, v)|. `behind` is the difference between the mean of ln
+    // |(u, v)| and its value at the centre. `blur` is the variance of the footprint in angle at the centre, and
+    // `level_blur` the variance that the rows of the mip level already have. Both variances are in steps of the table
+    // of weights, so that their difference is an index into the table. A rounding offset of ½ is included in
+    // `level_blur`.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows of the colour table that are added for one ring (circle), one row per azimuth. `row` is the index of the first
-// row, `count` the number of rows, and `taps` the index of the first weight in the table of weights.
+// Rows of the colour table that are added for one ring (circle), one row per azimuth sample. `row` is the index of the
+// first row, `count` the number of rows, and `taps` the index of the first weight in the table of weights.
 struct RingRows {
     int row, count, taps;
 };
@@ -292,7 +294,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
 }
 
 // Compute the position of each part of a footprint in the colour table. Compute also the two standard deviations of the
-// part: across the rings (circles) of the table, and across the azimuths.
+// part: across the rings (circles) of the table, and across the azimuths (polar angles).
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -310,9 +312,9 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // The polar angle of (u, v) may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring.
-            // The remaining variance of the angle blurs each ring. The quadratic spline between rings adds a variance
-            // of ¼ rings².
+            // The polar angle of (u, v) may be correlated with ln |(u, v)|: the azimuth of the footprint then shifts
+            // from ring to ring (circles of constant |(u, v)|). The remaining variance of the angle blurs each ring.
+            // The quadratic spline between rings adds a variance of ¼ rings².
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
@@ -320,9 +322,9 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             parts.deviation[k] = deviation;
             // The distribution of ln |(u, v)| is skewed: on a logarithmic scale, smaller radii are farther away. The
             // skew is a sixth of the third moment, in standard deviations. A correlation of the angle with ln |(u, v)|
-            // would add a term to the third moment. This term is omitted, because it is derived for azimuths that are
-            // linear in ln |(u, v)|. In contrast, `place_ring` places the azimuths of a part on a straight line in
-            // (u, v).
+            // would add a term to the third moment. This term is omitted, because it is derived for azimuths (polar
+            // angles) that are linear in ln |(u, v)|. In contrast, `place_ring` places the azimuths of a part on a
+            // straight line in (u, v).
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
@@ -375,7 +377,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Position in a list of parts of footprints: the index of the next part, and of the next table ring within that part.
+// Position in a list of parts of footprints: the index of the next part, and of the next ring (circle of the table)
+// within that part.
 struct NextRing {
     int part, ring;
 };
@@ -405,8 +408,9 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select a mip level (a blurred copy of the table) for each segment, a group of table rings within one octave of |(u,
-// v)|. For each segment, compute the azimuth, the blur over the angle and the first row on its level.
+// Select a mip level (a blurred copy of the table) for each segment, a group of table rings within one octave of
+// |(u, v)|. For each segment, compute the azimuth (polar angle), the blur over the angle and the first row on its
+// level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -418,7 +422,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
             // Select the most blurred mip level whose blur does not exceed the blur of the footprint; each level has
-            // twice the blur of the level before. The remaining blur is added by a weighted sum over several azimuths.
+            // twice the blur of the level before. The remaining blur is added by a weighted sum over several azimuth
+            // samples.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);

@@ -40,8 +40,8 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// Return the first table row of a ring (circle) that a look-up adds: the row on the first of the three azimuths around
-// an angle. `aside` receives the distance of the angle from the middle azimuth [spacings of azimuths].
+// Return the first table row of a ring (circle) that a look-up adds: the row on the first of the three azimuths (polar
+// angles) around an angle. `aside` receives the distance of the angle from the middle azimuth [spacings of azimuths].
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
@@ -86,7 +86,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
             // The rings (circles) from index `left` on are in the next octave of the table (a doubling of the radius),
-            // which has another number of azimuths.
+            // which has another number of azimuth samples.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);

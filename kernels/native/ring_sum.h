@@ -14,8 +14,8 @@
 
 namespace warpdiff {
 
-// Number of azimuths (samples along a ring of the colour table) that are processed together. The value is limited by
-// the number of elements of a SIMD vector.
+// Number of azimuth samples on a ring (circle of constant |(u, v)|) of the colour table that are processed together.
+// The value is limited by the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
 // Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
 // directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
@@ -33,8 +33,8 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Gaussian, relative to that of the peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // Rule for the mip level (a blurred copy of the table) from which rows are added. `MOST_BLUR2` is the maximum variance
-// of the blur of the level, relative to the variance of the footprint's Gaussian along the ring. `AZIMUTHS_APART` is
-// the maximum distance of the level's azimuths, in standard deviations of the Gaussian.
+// of the blur of the level, relative to the variance of the footprint's Gaussian along the ring (circle).
+// `AZIMUTHS_APART` is the maximum distance of the level's azimuth samples, in standard deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian over (u, v): its mean and the inverse of its covariance.
@@ -43,8 +43,9 @@ struct Gaussian2 {
 };
 
 // Mip level (a blurred copy of the table) from which the rings of one octave of |(u, v)| are added. `spacing` is the
-// distance of its azimuths [rad]. `blur2` is the variance of the blur of its rows minus the variance of the spline
-// between azimuths [rad²]. If the variance of the Gaussian along a ring is at least `until`, the next level is used.
+// distance of its azimuth samples [rad]. `blur2` is the variance of the blur of its rows minus the variance of the
+// spline between azimuths [rad²]. If the variance of the Gaussian along a ring is at least `until`, the next level is
+// used.
 struct RingLevel {
     int octave, level, azimuths, first_row;
     float spacing, blur2, until;
@@ -78,9 +79,9 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 }
 
 // Replace `widest` by the most blurred mip level (copy of the table) in an octave of |(u, v)| that the variance of the
-// Gaussian along the ring permits. Rings are processed from the outermost ring inwards. From one octave to the next
-// inner octave, the blur of a level [rad] may double. The search therefore starts with the level that is one step less
-// blurred than the present level.
+// Gaussian along the ring permits. Rings (circles of constant |(u, v)|) are processed from the outermost ring inwards.
+// From one octave to the next inner octave, the blur of a level [rad] may double. The search therefore starts with the
+// level that is one step less blurred than the present level.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -160,8 +161,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // The index −1 of an octave of |(u, v)| means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // The smaller the radius of a ring is, the larger is the angle that the Gaussian covers on it. More blurred mip
-        // levels of the table then suffice.
+        // The smaller the radius of a ring (circle of the table) is, the larger is the angle that the Gaussian covers
+        // on it. More blurred mip levels of the table then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);

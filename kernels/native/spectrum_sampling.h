@@ -167,8 +167,8 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
 // the frequency of the first sample. Each sample has `ratio` times the frequency of the previous sample, up to the
 // frequency `highest`.
 //
-// Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
-// values of κ = w/λ before integration.
+// A row has the TERMS series terms of a power |H|² (PARTS = 1), or of the real and imaginary part of an amplitude H
+// (PARTS = 2). Amplitudes are converted to powers at WIDTH values of κ = w/λ before integration.
 template <int TERMS, int PARTS, int WIDTH, class Table, class Bases, class Values>
 WARPDIFF_INLINE void sample_azimuth(const Table& table, const Bases& bases, double sine, double cosine, int rings,
     double t, double ratio, int divisions, double highest, float scale, int excluded, int begin, Values& values_out)

@@ -214,7 +214,7 @@ def test_higher_orders_of_a_shallow_surface_are_accurate(method):
 @pytest.mark.parametrize("parts", [1, 2])
 @pytest.mark.parametrize("shape", [(3, 5), (20, 40)])
 def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_their_powers(shape, parts, rng):
-    """The 64 strongest Fourier coefficients must be selected by their powers at the middle of the range of |κ|.
+    """The 64 strongest Fourier coefficients must be selected by their powers |H|² at the middle of the range of |κ|.
 
     Fewer than 64 coefficients are all returned.
     """

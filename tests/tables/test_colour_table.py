@@ -64,7 +64,8 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
     # The CIE colour-matching functions have kinks. The errors of splines that are fitted to them therefore decrease
-    # only in proportion to the distance between the rings of a table, each of which has one spline.
+    # only in proportion to the distance between the rings (circles of constant |(u, v)|) of a table, each of which has
+    # one spline.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
@@ -95,10 +96,10 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     ids=str,
 )
 def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum along azimuths must equal sums over all Fourier coefficients, projected on splines.
+    """Samples of the spectrum along azimuths (polar angles) must equal sums over all Fourier coefficients.
 
-    Each coefficient has a Gaussian weight by its distance from the sample. The kernel's samples are compared with sums
-    in float64.
+    The spectrum is projected on splines. Each coefficient has a Gaussian weight by its distance from the sample. The
+    kernel's samples are compared with sums in float64.
     """
     lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
     parts = 1 if powers else 2
@@ -215,8 +216,8 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # An octave is a set of rings over a factor of two in |(u, v)|. ``seams`` are the ring indices at which the last two
-    # octaves begin.
+    # An octave is a set of rings over a factor of two in |(u, v)|. ``seams`` are the indices of the rings (circles) at
+    # which the last two octaves begin.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -279,7 +280,8 @@ def test_basis_functions_of_w_reproduce_all_terms():
     """The basis functions of w, which all colours share, must reproduce each term of the power spectrum.
 
     A term is a function of κ = w/λ; w is the normal component of the scattering vector. At the wavelength of one ring
-    of the spectrum, a weighted sum of the basis functions must equal the term as a function of w.
+    (circle of constant frequency) of the spectrum, a weighted sum of the basis functions must equal the term as a
+    function of w.
     """
     kappas = (0.5, 5.0)
 

@@ -40,9 +40,9 @@ class CoefficientRows:
     """Chebyshev series in |κ| of the Fourier coefficients at sites (frequencies) and at the opposite frequencies.
 
     Attributes:
-        rows: Coefficients of the Chebyshev series, one row per frequency. Powers have one array of shape (2 p, k), for
-            p sites and k terms. Amplitudes have two arrays of this shape: the real and the imaginary parts. The first p
-            rows of an array belong to the p sites, and the other rows to the opposite frequencies.
+        rows: Coefficients of the Chebyshev series, one row per frequency. Powers |H|² have one array of shape (2 p, k),
+            for p sites and k terms. Amplitudes H have two arrays of this shape: the real and the imaginary parts. The
+            first p rows of an array belong to the p sites, and the other rows to the opposite frequencies.
     """
 
     def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:

@@ -48,7 +48,7 @@ _GAUSS_POINTS = 4
 
 
 def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDArray[np.int64]:
-    """Return how many equally spaced nodes quintic interpolation requires to meet an error, for each of n functions.
+    """Return how many equally spaced samples (nodes) quintic interpolation of each of n functions requires.
 
     Args:
         rates: Largest angular frequency of each function [radians per unit of its argument], shape (n,).

@@ -21,9 +21,10 @@ from warpdiff.tables.colour_curves import spline
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of intervals into which the distance of two neighbouring rings of the polar grid is divided. The weights of the
-# rings in a colour depend on the position of the longest wavelength between two rings. They are tabulated at the ends
-# of the intervals and interpolated linearly. The error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
+# Number of intervals into which the distance of two neighbouring rings of the polar grid is divided. A ring is a circle
+# of constant |(u, v)|/λ. The weights of the rings in a colour depend on the position of the longest wavelength between
+# two rings. They are tabulated at the ends of the intervals and interpolated linearly. The error is 1/(8 · 64²) = 3e-5
+# of the second difference of the weights.
 _INTERVALS = 64
 # Number of samples of the colour curves (illuminant times colour-matching function) in each of the `_INTERVALS` parts
 # of the distance of two neighbouring rings of the polar grid. A ring is a circle of constant |(u, v)|/λ.
@@ -71,7 +72,8 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
         weights = spline((samples + 0.5) / per_ring - 1.5) / per_ring
         moments = np.einsum("s,msc->mc", weights, curves[first[:, None] + samples])
         result[interval] = np.linalg.solve(gram, moments)
-    # The weights of the rings are scaled so that a constant spectrum has exactly the colour of white.
+    # The weights of the rings (circles of constant |(u, v)|/λ) are scaled so that a constant spectrum has exactly the
+    # colour of white.
     result *= products.sum(axis=0) / (step * result.sum(axis=1, keepdims=True))
     result.setflags(write=False)
     return result

@@ -68,7 +68,7 @@ class Pairs:
         return len(self.kappas)
 
     def reaches(self, exponent: float) -> NDArray[np.float64]:
-        """Return how far weights exceed e^−exponent along x and y from the centre of each pair [1/µm], shape (p, 2)."""
+        """Return how far the Gaussian weights of each pair exceed e^−exponent along x and y [1/µm], shape (p, 2)."""
         xx, xy, yy = self.forms.T
         scale = exponent / (xx * yy - xy * xy)
         return np.asarray(np.sqrt(np.stack([scale * yy, scale * xx], axis=1)))

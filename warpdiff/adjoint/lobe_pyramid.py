@@ -123,7 +123,8 @@ class LobePyramid:
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
         # Long lobes (Gaussian weights) are processed separately from short lobes. The transposed sum searches for pairs
-        # around each node up to the length of the longest lobe, which would take too long for short lobes.
+        # (a direction and a wavelength) around each node up to the length of the longest lobe, which would take too
+        # long for short lobes.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))

@@ -55,7 +55,7 @@ class OrderModel:
 
         Args:
             light: Unit vector to the light, shape (3,).
-            orders: Pairs (m_y, m_x) of the orders that propagate, shape (n, 2).
+            orders: Numbers (m_y, m_x) of the diffraction orders that propagate, shape (n, 2).
             wavelength_nm: Wavelength [nm].
             size_um: Size (y, x) of one period [µm].
             is_constant: Whether the surface is constant along (y, x).

@@ -35,8 +35,9 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
-# Sizes of polar grids, from coarse to fine: number of rings per octave of the frequency, and number of azimuth samples
-# per standard deviation of a diffraction order. The first grid whose error is within the tolerance is used.
+# Sizes of polar grids, from coarse to fine: number of rings (circles of constant frequency) per octave, and number of
+# azimuth samples per standard deviation of the peak of a diffraction order. The first grid whose error is within the
+# tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
 # The error of a polar grid is measured on `_CHECKED` bright samples and the same number of random samples of each group
 # (one illuminant and material). For at least the fraction `_SHARE` of these samples, it must be within the tolerance.

@@ -98,7 +98,7 @@ class RingGrid:
     """
 
     def __init__(self, groups: list[LitPixels], sizes: RingSizes, falloff: float) -> None:
-        """Choose the rings and azimuths of the polar grid for the directions of some groups.
+        """Choose the rings (circles) and azimuth samples of the polar grid for the directions of some groups.
 
         Args:
             groups: Groups of directions by illuminant and material.

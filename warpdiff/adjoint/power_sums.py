@@ -69,7 +69,7 @@ class PowerSums(Protocol):
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of their power ⟨|P|²⟩ for one change of the surface."""
+        """Return a function of pairs (direction, wavelength): changes of ⟨|P|²⟩ for one change of the surface."""
         ...
 
 
@@ -106,7 +106,7 @@ class LobeSums:
         self._phases = np.exp(-2j * np.pi * ((s * centre[0]) % 1.0 + (r * centre[1]) % 1.0))[:, None]
         # Different orders may alias onto the same Fourier coefficient, but have different phases if the centre of a
         # coherence window is not at the origin. Amplitudes are therefore stored per order, with these phases. Powers
-        # have no phases and are stored per coefficient.
+        # |H|² have no phases and are stored per coefficient.
         cells = sites.places if rows.powers else np.arange(block.size, dtype=np.int32)
         self._coefficients = rows.rows if rows.powers else self._shifted(rows.rows)
         self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
@@ -155,7 +155,7 @@ class LobeSums:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of their power ⟨|P|²⟩ for one change of the surface."""
+        """Return a function of pairs (direction, wavelength): changes of ⟨|P|²⟩ for one change of the surface."""
         rows = self._rows.tangent(self._terms, self._terms.tangent(change))
         if not self._rows.powers:
             rows = self._shifted(rows)

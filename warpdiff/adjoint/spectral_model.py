@@ -39,7 +39,7 @@ PAIRS_TOGETHER = 1 << 18
 # The value is limited by memory: a pair requires 72 bytes.
 MOST_KEPT = 1 << 23
 # Names of the variables that are the surface itself: heights of a height field, or vertices of an outline (polygon).
-# Their adjoint and tangent are computed for all pairs in one step.
+# Their adjoint and tangent are computed for all directions and wavelengths in one step.
 SURFACE = ("heights_um", "vertices")
 
 

@@ -46,8 +46,8 @@ MOST_EXACT = 600
 # Numbers of elevations and of azimuths of the grid of directions at which energy factors are computed and between which
 # they are interpolated. A finer grid has smaller errors and requires more time.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v), the tangential
-# components of ωi + ωr]. The value is about the distance between two nodes of the grid of directions.
+# Width of the bins in which the powers |H|² of neighbouring orders are summed, to save time [units of (u, v), the
+# tangential components of ωi + ωr]. The value is about the distance between two nodes of the grid of directions.
 _BIN = 0.08
 # Number of sweeps of Sinkhorn's iteration before Newton's method starts. A sweep scales each row and each column of the
 # matrix of efficiencies once. Sweeps always converge towards the balanced factors. Newton's method is faster, but must
@@ -113,7 +113,7 @@ class Powers:
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Compute the powers of all bins of neighbouring orders.
+        """Compute the powers |H|² of the orders, summed in bins of neighbouring orders.
 
         Args:
             heightfield: Height field, one period.
@@ -464,7 +464,7 @@ def sums_from(
 ) -> NDArray[np.float64]:
     """Return the sum of K a(ωr) over all orders of each light, shape (n,). K is the efficiency, a the energy factor.
 
-    ``powers`` must have a separate bin for each order.
+    ``powers`` has the powers |H|² of the orders, and must have a separate bin for each order.
     """
     result = np.ones(len(lights))
     for row, light in enumerate(lights):

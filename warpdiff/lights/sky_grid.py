@@ -102,8 +102,8 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
     least_power = _SUN_SHARE * (bright * solid).sum()
     brightest = bright.max()
     row, column = np.unravel_index(bright.argmax(), bright.shape)
-    # Only a window around the brightest cell is searched. It extends three angular radii of the sun in each direction:
-    # one radius to the sun's centre, and two radii for the surroundings.
+    # Only a window around the brightest cell of the sky's grid is searched. It extends three angular radii of the sun
+    # in each direction: one radius to the sun's centre, and two radii for the surroundings.
     reach = math.ceil(3.0 * sun_extent / math.pi * height) + 1
     rows = slice(max(int(row) - reach, 0), int(row) + reach + 1)
     bright, solid = bright[rows], np.broadcast_to(solid, bright.shape)[rows]

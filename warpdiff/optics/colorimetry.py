@@ -166,7 +166,7 @@ def products_by_colour_science(name: str) -> NDArray[np.float64]:
 
 @functools.cache
 def _tabulated(illuminant: Illuminant) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return the wavelengths [nm] and powers of an illuminant, and the mean of the powers with the weight ȳ."""
+    """Return wavelengths [nm] and spectral powers of an illuminant, and the mean of the powers with the weight ȳ."""
     if isinstance(illuminant, Spectrum):
         wavelengths, values = np.asarray(illuminant.wavelengths_nm), np.asarray(illuminant.values)
         visible = _at_whole_nanometres(wavelengths, values)

@@ -350,7 +350,7 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and the material that it illuminates. Colours are computed for each such pair separately.
+    """Illuminant and the material that it illuminates. Colours are computed separately for each combination.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.
@@ -364,7 +364,7 @@ class IlluminatedMaterial:
     def of(
         cls, illuminants: Iterable[colorimetry.Illuminant], materials: Iterable[Material | None]
     ) -> tuple[IlluminatedMaterial, ...]:
-        """Return all pairs of one of ``illuminants`` and one of ``materials``, without duplicates."""
+        """Return all combinations of one of ``illuminants`` and one of ``materials``, without duplicates."""
         return tuple(dict.fromkeys(itertools.starmap(cls, itertools.product(illuminants, materials))))
 
 

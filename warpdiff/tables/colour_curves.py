@@ -78,7 +78,7 @@ class SpectrumBasis:
         sizes: Typical magnitude of the weight of each basis function in the rows, relative to the other weights, shape
             (terms,).
         share: Permitted error by the limited number of functions of w in a colour table, as a share of the tolerance.
-        holds_lines: Whether rows are powers per unit area of frequency, as for the coherence of a light source of
+        holds_lines: Whether rows are powers |H|² per unit area of frequency, as for the coherence of a light source of
             finite size, where diffraction orders are spectral lines. Colours require powers per unit area of (u, v).
             The weights of the colour curves therefore include the factor λ⁻², which converts the first to the second.
     """
@@ -132,12 +132,12 @@ class Projection:
 def make_projection(
     plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout
 ) -> Projection:
-    """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
+    """Return the weights that convert the power spectrum on the rings of a table to colours.
 
-    A plan has the numbers of a computation. If it does not set the number of functions of w, its tolerance determines
-    the number. The angle θd is half of the angle between the directions to the light and to the viewer. Because cos θd
-    = |(u, v, w)|/2, the reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The
-    integral over λ therefore includes R, and look-ups need no material.
+    A ring is a circle of constant |(u, v)|. A plan has the numbers of a computation. If it does not set the number of
+    functions of w, its tolerance determines the number. The angle θd is half of the angle between the directions to the
+    light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance R(θd, λ) of a material is a function of λ,
+    w and the radius |(u, v)| of a ring. The integral over λ therefore includes R, and look-ups need no material.
     """
     # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis functions at all visible
     # wavelengths.
@@ -238,10 +238,10 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of the rings of one colour.
+    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] that one colour sums.
 
-    At a fixed (u, v), each ring |(u, v)|/λ of the spectrum belongs to one wavenumber. The result has the wavenumbers of
-    all rings that contribute to one colour.
+    At a fixed (u, v), each ring (circle of radius |(u, v)|/λ) of the spectrum belongs to one wavenumber. The result has
+    the wavenumbers of all rings that contribute to one colour.
     """
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um

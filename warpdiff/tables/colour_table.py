@@ -238,7 +238,7 @@ def _fields(
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
         # ``least_uv`` is the smallest |(u, v)| of a look-up; smaller values are replaced by it. It lies above the
-        # innermost ring, because the spline of a look-up also uses the ring with the next smaller radius.
+        # innermost ring, because the spline of a look-up also uses the ring (circle) with the next smaller radius.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),

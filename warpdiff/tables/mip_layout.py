@@ -59,8 +59,8 @@ class MipLayout:
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
-        divisions: Number of spectrum samples along the radius from one ring to the next, for each octave; 0 for
-            spectral lines.
+        divisions: Number of spectrum samples along the radius from one ring (circle) to the next, for each octave; 0
+            for spectral lines.
         blurs: Standard deviation of the blur that the spectrum itself has along the azimuth [rad], for each octave of
             |(u, v)|.
         levels: Grid of |(u, v)| for each mip level.
@@ -142,13 +142,13 @@ class MipLayout:
 
     @property
     def first_rows(self) -> NDArray[np.int64]:
-        """Index of the first row at azimuth 0 in each mip level and octave, shape (levels, octaves)."""
+        """Index of the first row at azimuth 0 in each mip level and octave of |(u, v)|, shape (levels, octaves)."""
         first = np.cumsum([0, *self._row_counts[:-1]]) + HALF_TAPS * self.levels[0].rings
         return np.asarray(first.reshape(len(self.levels), -1))
 
     @property
     def rows(self) -> int:
-        """Total number of rows of the table, including azimuth samples that are repeated at both ends of each ring."""
+        """Total number of rows of the table, including azimuth samples repeated at both ends of each ring (circle)."""
         return sum(self._row_counts)
 
     @property

@@ -71,7 +71,7 @@ class PitchLadder:
         if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
             # The weight of a table in the interpolation is 0 at a distance of two steps.
             octaves, per_octave = places, 2.0 / least_gap
-        # Tables are made for the cell with the largest pitch scale, under the window of the picture.
+        # Tables are made for the height field of the dots at the largest pitch scale, under the window of the picture.
         widths = float(coherence.sigma_um or 0.0) * 2.0 ** (places[-1] - octaves)
         windows = tuple(replace(coherence, sigma_um=float(width)) for width in widths)
         return cls(tuple(octaves.tolist()), windows, per_octave)
@@ -86,8 +86,8 @@ class LadderLookup(ColourLookup):
     ) -> None:  # fmt: skip
         """Prepare the look-ups in all tables; tables are computed at the first use.
 
-        ``heightfield`` is the cell with the largest pitch scale. ``plan`` is a plan for the longest coherence window of
-        all tables, which suffices for the others.
+        ``heightfield`` is that of the dots, at the largest pitch scale. ``plan`` is a plan for the longest coherence
+        window of all tables, which suffices for the others.
         """
         super().__init__(heightfield, plan, direction_range, device=device, threads=threads)
         self._ladder = ladder
@@ -110,7 +110,8 @@ class LadderLookup(ColourLookup):
 
         The length of a direction in ``to_lights`` is the pitch scale relative to the smallest one of the map.
         """
-        # The gains of all tables are written into the same array, because the calls of a slice run one after the other.
+        # The geometry factors (gains) for all tables are written into the same array, because the calls of a slice run
+        # one after the other.
         weighed = wp.empty(len(gains), dtype=wp.float32, device=self.device)
         calls = []
         for octaves, lookup in zip(self._ladder.octaves, self._lookups, strict=True):

@@ -66,7 +66,7 @@ MOST_MEGABYTES = 300.0
 
 @dataclass(frozen=True)
 class PolarGrid:
-    """Polar grid of a plane: rings with a constant ratio of radii, and equally spaced azimuth samples on each ring.
+    """Polar grid of a plane: rings (circles) with a constant ratio of radii, with equally spaced azimuth samples.
 
     The innermost ring has the index 0. The first sample of each ring is on the first axis of the plane, such as the u
     axis.
@@ -83,22 +83,22 @@ class PolarGrid:
 
     @property
     def nodes(self) -> int:
-        """Total number of samples of the grid, on all rings."""
+        """Total number of samples of the grid, on all rings (circles)."""
         return self.rings * sum(self.azimuths)
 
     @property
     def ring_azimuths(self) -> NDArray[np.int64]:
-        """Number of azimuth samples on each ring of the grid."""
+        """Number of azimuth samples on each ring (circle) of the grid."""
         return np.repeat(self.azimuths, self.rings)
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """Index of the first sample of each ring, followed by the total number of samples."""
+        """Index of the first sample of each ring (circle) of the grid, followed by the total number of samples."""
         return np.concatenate([[0], np.cumsum(self.ring_azimuths)])
 
     @property
     def radii(self) -> NDArray[np.float64]:
-        """Radii of the rings of the grid, shape (octaves, rings)."""
+        """Radii of the rings (circles) of the grid, shape (octaves, rings); an octave is a factor of 2 in radius."""
         octaves = np.arange(len(self.azimuths))[:, None] + np.arange(self.rings) / self.rings
         return np.asarray(np.exp(self.log_radius + octaves * math.log(2.0)))
 
@@ -112,7 +112,7 @@ class PolarGrid:
 
 
 def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: float) -> NDArray[np.float64]:
-    """Return the number of azimuth samples on rings with the radii ``radii``, a multiple of 4.
+    """Return the number of azimuth samples on rings (circles) with the radii ``radii``, a multiple of 4.
 
     Neighbouring samples are at most ``width / per_width`` apart; ``width`` is the width of the finest feature on the
     rings, in the unit of ``radii``.

@@ -342,8 +342,8 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         # If amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of its
         # powers is therefore empty.
         power = np.zeros(0, dtype=np.float32)
-        # Powers are interpolated over κ = w/λ from Chebyshev nodes. Their number is derived from the fastest
-        # oscillation of a power over κ.
+        # Powers |H|² of Fourier coefficients are interpolated over κ = w/λ from Chebyshev nodes. Their number is
+        # derived from the fastest oscillation of a power over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
