@@ -173,8 +173,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         """Return the Gaussian weights of Fourier coefficients for one direction to the light.
 
         For a light source of finite size (coherence of kind "source"), the width of the Gaussian depends on the
-        wavelength; the result is for λ = 1 µm. A footprint widens this Gaussian. Other kinds of coherence ignore
-        footprints.
+        wavelength; the result is for λ = 1 µm. A footprint (range of (u, v) in a pixel) widens this Gaussian. Other
+        kinds of coherence ignore footprints.
         """
         window = Window()
         window.share = 1.0

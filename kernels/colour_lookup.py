@@ -78,8 +78,8 @@ class FootprintTaps:
     # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuth samples, or of
     # the rings (circles of constant |(u, v)|).
     per_variance: wp.float32
-    # A footprint may be divided into parts, which are narrower Gaussians. For each number of parts, from 1 on: variance
-    # of a part, and positions and weights of all parts.
+    # The footprint (range of (u, v)) of a pixel may be divided into parts, which are narrower Gaussians. For each
+    # number of parts, from 1 on: variance of a part, and positions and weights of all parts.
     parts: wp.array3d(dtype=wp.float32)
 
 
@@ -269,8 +269,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times ``gains``, to ``xyz_out``; ``footprints`` may be empty.
 
-        Gains are geometry factors. For a light source of finite size, directions that the table excludes are skipped.
-        The gains of these directions are written to ``unserved_gain``, which is 0 for all other directions.
+        Gains are geometry factors, and footprints are ranges of (u, v) in a pixel. For a light source of finite size,
+        directions that the table excludes are skipped. The gains of these directions are written to ``unserved_gain``,
+        which is 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

@@ -247,7 +247,7 @@ def add_light_rotation(
 
 @wp.func
 def covariance_of(footprint: Footprint) -> wp.vec3f:
-    """Return the covariance matrix of a footprint: its entries uu, uv and vv."""
+    """Return the entries uu, uv and vv of the covariance matrix of a footprint (range of (u, v) in a pixel)."""
     return wp.vec3f(
         footprint[0] * footprint[0] + footprint[2] * footprint[2],
         footprint[0] * footprint[1] + footprint[2] * footprint[3],

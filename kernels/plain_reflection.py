@@ -138,7 +138,7 @@ def facet_density(alpha2: wp.float32, x: wp.float32, y: wp.float32) -> wp.float3
 
 @wp.func
 def blurred_density(gloss: Gloss, x: wp.float32, y: wp.float32) -> wp.float32:
-    """Return the GGX distribution D at the slopes x and y of a microfacet's normal, blurred by the footprint."""
+    """Return the GGX distribution D at the slopes x and y of a microfacet, blurred by the pixel's footprint."""
     result = facet_density(gloss.spread, x, y)
     if gloss.core > 1.0e-4:
         # The Gaussian is a density of slopes. Division by cos⁴ of the microfacet's angle converts it to the form of D.

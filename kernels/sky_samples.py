@@ -197,8 +197,9 @@ def mirror_deflections(
 ):  # fmt: skip
     """Compute scattering vectors for light from the mirror direction, and count hits.
 
-    The footprints of a sky's samples are computed from these scattering vectors, before any direction of the sky is
-    drawn. Gains (geometry factors) are 1 at all hits, because a sky illuminates every point.
+    The footprints (ranges of (u, v) in a pixel) of a sky's samples are computed from these scattering vectors, before
+    any direction of the sky is drawn. Gains (geometry factors) are 1 at all hits, because a sky illuminates every
+    point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):

@@ -82,7 +82,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """Return the kernel that sums spectral lines near each azimuth (polar angle), and the type of its output rows."""
+    """Return the kernel that sums spectral lines near each azimuth (polar angle), and the type of the sums."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -187,7 +187,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
         A ring is a circle. At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of
         the same index. The frequency of blue light is in the next octave, or just beyond it. The next octave has as
-        many azimuths as this octave, or twice as many. ``sequence`` is working memory of ``length`` rows per azimuth.
+        many azimuths as this octave, or twice as many. ``sequence`` is working memory for ``length`` rows of the
+        spectrum per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):

@@ -173,8 +173,8 @@ def select_levels(
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        # Other threads may have changed a neighbour's level already. This has no effect here: levels are only compared
-        # with 0, and a level of 0 does not change.
+        # Other threads may have changed the refinement level of a neighbouring pixel already. This has no effect here:
+        # levels are only compared with 0, and a level of 0 does not change.
         if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)

@@ -337,8 +337,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // This loop reads table entries at computed indices. It is separate from the other loops, because compilers do not
-    // vectorise a loop that contains such reads and has several outputs.
+    // This loop reads entries of the table of weights at computed indices. It is separate from the other loops, because
+    // compilers do not vectorise a loop that contains such reads and has several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
@@ -421,9 +421,9 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     for (int from = 0; from < segments.count; from += ABREAST)
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
-            // Select the most blurred mip level whose blur does not exceed the blur of the footprint; each level has
-            // twice the blur of the level before. The remaining blur is added by a weighted sum over several azimuth
-            // samples.
+            // Select the most blurred mip level (copy of the table) whose blur does not exceed the blur of the
+            // footprint; each level has twice the blur of the level before. The remaining blur is added by a weighted
+            // sum over several azimuth samples.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
@@ -454,9 +454,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings of the colour table).
-// Compute also the blur that the mip level lacks, as an index of the table of weights. The width of a footprint in (u,
-// v) is the same at all rings, so that its angular width is inversely proportional to the radius.
+// Compute the azimuth (polar angle) of the footprint's centre at the m-th ring of a segment (a group of rings of the
+// colour table). Compute also the blur that the mip level lacks, as an index of the table of weights. The width of a
+// footprint in (u, v) is the same at all rings, so that its angular width is inversely proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -488,9 +488,9 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Table rows and weights of all rings of several segments. A segment is a group of consecutive rings (circles of
-// constant |(u, v)|). On the CPU, rows and weights of a whole batch are stored before any row is added. A GPU computes
-// the rows and weights of a ring when it adds the rows of this ring.
+// Rows of the colour table, and their weights, for all rings of several segments. A segment is a group of consecutive
+// rings (circles of constant |(u, v)|). On the CPU, rows and weights of a whole batch are stored before any row is
+// added. A GPU computes the rows and weights of a ring when it adds the rows of this ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -574,7 +574,8 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
 }
 
 // Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, times geometry factors (gains). Each XYZ
-// is a mean over the footprint, and with `SOURCE` also over the light source.
+// is a mean over the footprint, and with `SOURCE` also over the light source. A footprint is the range of (u, v) in a
+// pixel.
 //
 // Directions that the table of a light source excludes are skipped. The gains of these directions are stored in
 // `unserved_gain`, which is 0 for all other directions.

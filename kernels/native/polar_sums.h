@@ -198,7 +198,7 @@ struct AroundRing {
         weights[3] = t * t * t / 6.0;
     }
 
-    // Return the index of the table row with the spectrum at azimuth sample j, where j is 0 to 3.
+    // Return the index of the array row with the power spectrum at azimuth sample j of the four, where j is 0 to 3.
     WARPDIFF_INLINE long long row(int j) const
     {
         const int azimuth = first + j;

@@ -17,9 +17,10 @@ namespace warpdiff {
 // Number of azimuth samples on a ring (circle of constant |(u, v)|) of the colour table that are processed together.
 // The value is limited by the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
-// Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
-// directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
-// values are limited by time: a larger distance adds more rows.
+// Distance from its centre at which the Gaussian of a footprint (range of (u, v) in a pixel) is truncated [standard
+// deviations]. `OUTWARDS` is for directions away from the mirror direction, and `INWARDS` for directions towards it,
+// where surfaces are brightest. The values are limited by time: with a larger distance, more rows of the colour table
+// are added.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 // The colour of a footprint, a Gaussian over (u, v), is a sum over some rings (circles) of the colour table. Two limits
 // apply to the distance between added rings: `RINGS_APART` in ln |(u, v)|, over which colours are smooth, and
@@ -32,8 +33,8 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // standard deviation of the peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the
 // Gaussian, relative to that of the peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Rule for the mip level (a blurred copy of the table) from which rows are added. `MOST_BLUR2` is the maximum variance
-// of the blur of the level, relative to the variance of the footprint's Gaussian along the ring (circle).
+// Rule for the mip level (a blurred copy of the colour table) from which rows are added. `MOST_BLUR2` is the maximum
+// variance of the blur of the level, relative to the variance of the footprint's Gaussian along the ring (circle).
 // `AZIMUTHS_APART` is the maximum distance of the level's azimuth samples, in standard deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
@@ -162,7 +163,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
         // The smaller the radius of a ring (circle of the table) is, the larger is the angle that the Gaussian covers
-        // on it. More blurred mip levels of the table then suffice.
+        // on it. More blurred mip levels (copies of the table) then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);

@@ -84,7 +84,7 @@ struct Row {
     }
 };
 
-// A weighted sum of rows of a table, and the sum of the weights.
+// A weighted sum of rows of a colour table, and the sum of the weights.
 template <int WIDTH>
 struct WeighedRows {
     Row<WIDTH> rows;

@@ -312,7 +312,7 @@ def test_deep_surfaces_have_grids(points):
 
 
 def test_series_with_more_terms_than_kernels_support_use_no_grid(points):
-    """A height range of 20 µm needs more series terms than kernels support. Sums over λ must replace the polar grid."""
+    """A height range of 20 µm needs longer series than kernels support. Sums over λ must replace the polar grid."""
     deep = wd.HeightField.of_known_scale(10.0 * np.sin(np.arange(64.0) * np.pi / 32.0)[None], FIELD.pitch_um)
     with mock.patch.object(picture_model, "PolarGridSums", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value

@@ -118,8 +118,8 @@ def test_the_fitted_basis_is_the_smallest():
         for tolerance in (1e-2, 1e-4):
             argument = 2.0 * math.pi * RANGES[0][1] * series.offset_and_scale(heightfield)[1]
             assert low_rank.terms_within(tolerance) < power.terms_within(tolerance)
-            # A term of a series of amplitudes has two numbers per coefficient (real and imaginary part). A term of a
-            # series of powers has one number.
+            # A term of a series of Fourier amplitudes has two numbers per coefficient (real and imaginary part). A term
+            # of a series of powers has one number.
             assert power.terms_within(tolerance) < 2 * series.term_count(argument, tolerance)
 
 

@@ -43,7 +43,7 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
 
 
 def test_reflectances_of_a_material_are_bilinear(rng):
-    """Reflectances of a material are tabulated over angle and wavelength, and interpolated between the entries.
+    """Reflectances of a material are tabulated over angle and wavelength, and interpolated linearly.
 
     If the reflectance is a bilinear function, interpolation must be exact, also at the ends of both axes.
     """

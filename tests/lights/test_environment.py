@@ -304,7 +304,7 @@ def test_a_sky_of_any_proportions_keeps_the_power_of_a_bright_pixel(shape, monke
     solid = 2.0 * math.pi / width * np.diff(-np.cos(np.arange(height + 1) / height * math.pi))
     on_grid = np.diff(-np.cos(np.arange(513) / 512 * math.pi))[:, None, None] * 2.0 * math.pi / 1024
     # Interpolation of the sky's image on a grid conserves the power of a pixel only approximately. The sum of the
-    # weights depends on the position of the pixel between the cells of the grid, by up to 1.2 % here.
+    # interpolation weights depends on the position of the pixel between the cells of the grid, by up to 1.2 % here.
     row = height // 2 + height // 9
     for column in (0, *range(width // 4, width // 4 + 5), width - 1):
         sky = np.zeros((*shape, 3), dtype=np.float32)

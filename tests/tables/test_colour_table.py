@@ -358,7 +358,7 @@ def test_tables_of_one_dimensional_surfaces_are_accurate(size, rng):
     heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
     heightfield = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
-    # The coherence window is small, because the size of a table is proportional to its square.
+    # The coherence window is small, because the size of a colour table is proportional to its square.
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)

@@ -86,7 +86,7 @@ class CoefficientSeries:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the first-order change of the series of the powers |H|² for a change of the heights or vertices."""
+        """Return the first-order change of the Chebyshev series of |H|² for a change of the heights or vertices."""
         return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
 
     @single_threaded_blas()

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     Complex = NDArray[np.complex128]
 
 # Smallest value of half of the height range [µm]. A flat surface counts as having this value, so that heights can be
-# divided by it. The value changes no result, because the series has the same sum for any scale that is large enough.
+# divided by it. The value changes no result, because the series of exp(2πiκh) has the same sum for any scale that is
+# large enough.
 _LEAST_SCALE_UM = 1e-6
 
 
@@ -65,8 +66,8 @@ class HeightTerms:
         self._g, self._sites = (heights_um - offset) / self._scale, sites
         basis = 2.0 * bessel_j(-2.0 * math.pi * self._scale * kappas, count)
         basis[:, 0] /= 2.0
-        # The terms of the series have the factor iⁿ: ±1 for even n and ±i for odd n. The sign is included in the
-        # factors b_n here. The factor i of odd terms is included when the terms are summed.
+        # The terms of the series of a Fourier coefficient have the factor iⁿ: ±1 for even n and ±i for odd n. The sign
+        # is included in the factors b_n here. The factor i of odd terms is included when the terms are summed.
         signs = np.where(np.arange(count) // 2 % 2 == 0, 1.0, -1.0)
         self._even, self._odd = (np.ascontiguousarray((signs * basis)[:, first::2]) for first in (0, 1))
         self.terms = np.empty((count, sites.count), dtype=np.complex128)
@@ -142,7 +143,7 @@ def _slopes(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
 def _sequence(
     g: NDArray[np.float64], now: NDArray[np.float64], after: NDArray[np.float64]
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the terms of the recurrence y_{n+1} = 2 g y_n − y_{n−1}; each array is overwritten two steps later."""
+    """Yield the terms of the recurrence y_{n+1} = 2 g y_n − y_{n−1}; each array is overwritten two terms later."""
     twice, buffer = 2.0 * g, np.empty_like(g)
     while True:
         yield now

@@ -114,8 +114,8 @@ class LobePyramid:
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
         """Group the pairs of a direction and a wavelength by the level of the pyramid that computes their sums.
 
-        Each item is the level, the indices of its pairs, these pairs for the nodes of the level, and factors by which
-        their sums are multiplied.
+        Level n has sums of 2ⁿ × 2ⁿ orders (nodes). Each item is the level, the indices of its pairs, these pairs for
+        the nodes of the level, and factors by which their sums are multiplied.
         """
         xx, xy, yy = pairs.forms.T
         scale = 0.5 / (xx * yy - xy * xy)
@@ -147,9 +147,9 @@ class LobePyramid:
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
         """Return pairs (direction, wavelength) that sum the nodes of a level, and factors of these sums.
 
-        The nodes are sums of neighbouring orders. The centres of the new pairs are relative to the first order of the
-        block. Their lobes have a smaller variance, because the nodes already spread each coefficient. The factors
-        correct the sums for it.
+        The nodes of level n are sums of 2ⁿ × 2ⁿ neighbouring orders. The centres of the new pairs are relative to the
+        first order of the block. Their lobes have a smaller variance, because the nodes already spread each
+        coefficient. The factors correct the sums for it.
         """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
@@ -177,7 +177,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the values of a level's nodes (sums of orders) to the finer level: the transpose of ``_joined``."""
+        """Add values of nodes (sums of orders) to the nodes of the finer level: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.profiles.outline import Outline
 
-# Truncation error of the series from which order efficiencies are computed. It equals the rounding errors of float64.
+# Truncation error of the series of Fourier coefficients from which order efficiencies are computed. It equals the
+# rounding errors of float64.
 _TRUNCATION = 1e-13
 # Cosine of the angle θ of an order from the normal below which the order counts as being at the horizon; it is then
 # within 0.06° of the horizon, and the user is warned. Efficiencies are proportional to 1/cos θ there, and their

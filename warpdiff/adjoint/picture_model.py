@@ -55,7 +55,7 @@ class Colours(Protocol):
     """Colours of the samples of a picture, as a linear function of the powers of Fourier coefficients."""
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the samples of each group, shape (n, 3), from the Chebyshev series of the powers |H|²."""
+        """Return XYZ of each group of samples (one illuminant and material), (n, 3), from the series of |H|²."""
         ...
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
@@ -97,17 +97,23 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint (derivative of a loss) of the heights from those of XYZ of the samples of each group."""
+        """Return the adjoint (derivative of a loss) of the heights from those of XYZ of each group of samples.
+
+        A group has one illuminant and material.
+        """
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
 
     def tangent(self, change: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the change of XYZ of the samples of each group, shape (n, 3), for a change of the heights [µm]."""
+        """Return the change of XYZ of each group of samples, shape (n, 3), for a change of the heights [µm].
+
+        A group has one illuminant and material.
+        """
         return self._colours.sums(self._series.tangent(change))
 
     def _size_of_rings(self, sizes: RingSizes) -> SeriesSize | None:
-        """Return the numbers of series terms for a polar grid; None if the kernels have no memory for so many terms."""
+        """Return the numbers of series terms for a polar grid; None if kernels have no memory for so many terms."""
         margin = kappa_margin(sizes)
         low, high = self._kappas()
         kappas = low / margin, high * margin
@@ -237,7 +243,7 @@ class _WithZeroth:
 
 
 def _cell_of_zeroth(block: Block) -> int:
-    """Return the index of the order (0, 0) in a block of orders; −1 if the block does not contain it."""
+    """Return the index of the zeroth diffraction order in a block of orders; −1 if the block does not contain it."""
     row, column = -block.first[0], -block.first[1]
     inside = 0 <= row < block.shape[0] and 0 <= column < block.shape[1]
     return row * block.shape[1] + column if inside else -1

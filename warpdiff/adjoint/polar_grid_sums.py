@@ -49,9 +49,9 @@ _FEWEST_AZIMUTHS = 16
 # azimuths on both sides of them. At this distance, a value changes the coefficient of a cubic spline by only 0.27^16 =
 # 8e-10 of itself.
 _NEIGHBOURS = 16
-# Number of cosines of angles at which the reflectance of a material is tabulated, for each whole nanometre. For metals,
-# the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of colours in `PictureModel`
-# rejects the grid.
+# Number of cosines of the angle of incidence at which the reflectance of a material is tabulated, for each whole
+# nanometre. For metals, the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of
+# colours in `PictureModel` rejects the grid.
 _ANGLES = 513
 # Longest and shortest visible wavelength [µm].
 _RED_UM, _BLUE_UM = 1e-3 * colorimetry.LAMBDA_MAX_NM, 1e-3 * colorimetry.LAMBDA_MIN_NM
@@ -167,7 +167,7 @@ class RingGrid:
         return np.asarray(2.0 * math.pi * np.arange(self.azimuths[block]) / self.azimuths[block])
 
     def block(self, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-        """Return the smallest rectangle of orders with all Fourier coefficients that the samples on the grid require.
+        """Return the smallest rectangle of orders with all Fourier coefficients that samples on the grid require.
 
         Weights below e^−exponent are neglected. Along an axis with a single height sample, the only order is 0.
         """
@@ -219,7 +219,7 @@ class PolarGridSums:
 
         Args:
             grid: Polar grid that was chosen for these directions.
-            lobes: Block of orders, and the series of their coefficients.
+            lobes: Block of orders, and the Chebyshev series of their Fourier coefficients.
             groups: Groups of directions by illuminant and material.
             excluded: Index, in the block of orders, of a coefficient that is omitted from the sums, or −1.
         """
@@ -328,7 +328,7 @@ class PolarGridSums:
 
 @dataclass(frozen=True)
 class _Placed:
-    """Directions of a group in the form that the kernels require.
+    """Directions of a group (one illuminant and material) in the form that the kernels require.
 
     Attributes:
         pixels: The struct ``PolarPixels`` of the kernels.

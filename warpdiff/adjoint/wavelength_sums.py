@@ -125,7 +125,7 @@ class WavelengthSums:
         return result
 
     def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
-        """Yield pairs (direction, wavelength) in parts with the adjoints of their sums, from those of XYZ, (n, 3)."""
+        """Yield groups of pairs (direction, wavelength) with the adjoints of their weighted sums, from those of XYZ."""
         for index, part, pairs, factors, weights in self.parts():
             yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
@@ -179,8 +179,8 @@ class WavelengthSums:
         forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
         factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
         if group.footprints is not None:
-            # A footprint widens the lobe (Gaussian weight) of a Fourier coefficient. The maximum of the lobe becomes
-            # lower, so that its integral is unchanged.
+            # The footprint (range of (u, v)) of a pixel widens the lobe (Gaussian weight) of a Fourier coefficient. The
+            # maximum of the lobe becomes lower, so that its integral is unchanged.
             own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
             factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
         if group.illuminated.material is not None:

@@ -176,7 +176,7 @@ class _Bakery:
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
-        """Return the smallest table whose error is within the accepted ΔE2000.
+        """Return the smallest table of colours whose error is within the accepted ΔE2000.
 
         If no table is that accurate, the function raises an error, or returns the largest table with a warning.
         """

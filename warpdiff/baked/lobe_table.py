@@ -130,7 +130,7 @@ class BakedLobes(table_files.SavedTable):
 
     @property
     def bytes(self) -> int:
-        """Size of the table [bytes]."""
+        """Size of the table of colours [bytes]."""
         arrays = (self.functions, self.exponents, self.mantissas, self.zeroth, self.reflectances)
         return sum(array.nbytes for array in arrays if array is not None)
 

@@ -162,7 +162,7 @@ class Powers:
 
 
 def _block_starts(n: int, block: int) -> NDArray[np.int64]:
-    """Split n orders into blocks; return the index of the first order of each block.
+    """Split n diffraction orders into blocks; return the index of the first order of each block.
 
     The zeroth order, which has the index n // 2, is in the middle of its block.
     """
@@ -189,7 +189,7 @@ def stam(
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Energy factor a, by which efficiencies are multiplied, as a function of direction (on a grid) and wavelength.
+    """Energy factor a, by which efficiencies are multiplied, on a grid of directions, for several wavelengths.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
@@ -297,7 +297,7 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the four nodes of the direction grid around unit vectors (n, 3), and their bilinear weights, (n, 4).
+    """Return the four nodes of the grid of directions around unit vectors, and their interpolation weights, (n, 4).
 
     The rows of the grid are equally spaced in √(1 − cos θ), which is nearly proportional to θ. In each quadrant, the
     columns are equally spaced in y/(|x| + |y|).

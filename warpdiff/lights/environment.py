@@ -289,8 +289,8 @@ class SkyPart(LightPart):
     has_extent = True
 
     def __post_init__(self) -> None:
-        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the grid are
-        # therefore set through ``vars``.
+        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the grid of the sky
+        # are therefore set through ``vars``.
         vars(self).update(spectra=self.grid.spectra, sample_count=self.grid.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:

@@ -159,6 +159,6 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         first = np.minimum(place.astype(int), len(edges) - 2)
         sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
         result = np.moveaxis(np.diff(sums, axis=0) / np.diff(targets)[:, None, None], 0, axis)
-    # An axis that was averaged already has the number of cells of the grid, so that the interpolation does not change
-    # values along it.
+    # An axis along which the image was averaged already has the number of cells of the sky's grid, so that the
+    # interpolation does not change values along it.
     return result if result.shape[:2] == (ROWS, 2 * ROWS) else sample_grid(result, grid_directions(), 0.0)

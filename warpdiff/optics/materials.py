@@ -432,7 +432,7 @@ def _check_no_ior(ior: object) -> None:
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
     """Return the transmittance 1 − R of a surface above a pigment (base colour), in linear RGB, shape (n, 3).
 
-    The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
+    The n rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
     reflectance. Opaque materials transmit nothing. For other materials, with or without a film, 1 − R is averaged over
     the wavelengths separately for red, green and blue. The weight of a wavelength is its contribution to the colour of
     a white pigment under D65.

@@ -144,7 +144,8 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # The table is read from the cache only once, because another thread may replace the entry of the cache at any time.
+    # The colour table is read from the cache only once, because another thread may replace the entry of the cache at
+    # any time.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -214,7 +215,7 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the fields of the struct ``Colours`` by name, except those of the layout. The rows are not filled yet."""
+    """Return the fields of the struct ``Colours`` by name, except those of the layout, before rows are filled."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
     # ``lobe2`` is the variance of the peak of a diffraction order in (u, v), divided by the squared wavelength. For a
@@ -226,8 +227,8 @@ def _fields(
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Rows for all mip levels (blurred copies) are allocated now, although only level 0 is filled. On the CPU, allocated
-    # rows occupy no memory until they are written.
+    # Table rows for all mip levels (blurred copies) are allocated now, although only level 0 is filled. On the CPU,
+    # allocated rows occupy no memory until they are written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),

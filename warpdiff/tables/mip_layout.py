@@ -36,8 +36,8 @@ _FEWEST_DIVISIONS = 2.0
 # coherence window. The number was derived from a Gaussian of this width: within the radius, it deviates from a constant
 # by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Standard deviation by which the spectral lines under a light source are blurred in a table, in distances of azimuth
-# samples. Splines represent lines of this width accurately.
+# Standard deviation by which the spectral lines under a light source are blurred in a colour table, in distances of
+# azimuth samples. Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
 # Number of azimuth samples of a mip level per standard deviation of the total blur of this level along the azimuth.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
@@ -174,7 +174,7 @@ class MipLayout:
 
 
 def has_mip_levels(plan: Plan) -> bool:
-    """Whether the table of a plan has mip levels, because look-ups blur over footprints or over a light source."""
+    """Whether the table of a plan has mip levels (blurred copies), for means over footprints or over a light source."""
     return plan.uses_footprints or plan.coherence.kind == "source"
 
 

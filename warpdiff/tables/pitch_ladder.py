@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 # this one. Measured by ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance; if
 # doubled, so do the tables.
 _TABLES_PER_OCTAVE = 6.0
-# Least distance between the binary logarithms of two pitch scales that get tables of their own. Smaller distances would
-# be lost among the rounding errors of the logarithm in float32.
+# Least distance between the binary logarithms of two pitch scales that get colour tables of their own. Smaller
+# distances would be lost among the rounding errors of the logarithm in float32.
 _LEAST_GAP = 0.01
 # Rounding error of the logarithm of pitch scales [steps of the interpolation between tables]. Without it, a range of a
 # whole number of steps may get one table more.
@@ -49,7 +49,7 @@ class PitchLadder:
         octaves: Binary logarithm of the pitch scale of which each table has the exact colours, relative to the smallest
             pitch scale of the map.
         coherences: Coherence of each table, the longest window first.
-        per_octave: Number of steps per factor of two, where a step is the unit of the interpolation.
+        per_octave: Number of steps per factor of two of the pitch scale. The steps are the unit of the interpolation.
     """
 
     octaves: tuple[float, ...]
@@ -97,7 +97,7 @@ class LadderLookup(ColourLookup):
         ]
 
     def copy_with(self, plan: Plan) -> LadderLookup:
-        """Return a look-up for the same range of directions by another plan; it has separate tables."""
+        """Return a look-up for the same range of directions by another plan (numbers of a computation)."""
         return LadderLookup(
             self._ladder, self.heightfield, plan, self._range, device=self.device, threads=self._threads
         )

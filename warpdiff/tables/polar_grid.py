@@ -145,7 +145,7 @@ def ring_count(rings_per_octave: int) -> int:
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a colour table; ``few_orders`` states that few, separate orders contribute to it."""
+    """Return the typical error of a colour table; ``few_orders``: few, separate diffraction orders contribute."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
@@ -176,7 +176,7 @@ def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float
 
 
 def size_for_skies(plan: Plan) -> tuple[int, float]:
-    """Return the table size for look-ups under a sky, at most the size of the plan's own table.
+    """Return the size of colour tables for look-ups under a sky, at most the size of the plan's own table.
 
     A smaller table suffices for a sky, because the errors of a table change their sign between neighbouring directions
     and partly cancel in the sum over the sky.

@@ -93,9 +93,9 @@ class SpectrumSource(ABC):
         layout: Grids of the table, with mip level 0 only.
         table: Table of Fourier coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
-        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ| = |w|/λ, shape
-            (number of |κ|, lanes). The powers at these |κ| form a row of the spectrum. If powers add, the array
-            contains zeros.
+        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ| = |w|/λ, shape (number of |κ|,
+            padded number of basis functions). The powers at these |κ| form a row of the spectrum. If powers add, the
+            array contains zeros.
         zeroth: Zeroth order, which is stored separately from the rows. If amplitudes add, its array of powers is empty,
             and the rows include the zeroth order.
         phase: Angular frequency of the fastest oscillation of a power as a function of ln λ [rad per unit of ln λ].
@@ -232,7 +232,7 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return two kernels: one adds spectral lines to the azimuths of a grid, one converts the sums to colours."""
+        """Return two kernels: one adds spectral lines to a polar grid, one converts the sums to colours."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
