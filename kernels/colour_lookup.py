@@ -79,7 +79,7 @@ class FootprintTaps:
     # the rings (circles of constant |(u, v)|).
     per_variance: wp.float32
     # The footprint (range of (u, v)) of a pixel may be divided into parts, which are narrower Gaussians. For each
-    # number of parts, from 1 on: variance of a part, and positions and weights of all parts.
+    # number of parts, the array has the variance of a part, and the positions and weights of all parts.
     parts: wp.array3d(dtype=wp.float32)
 
 

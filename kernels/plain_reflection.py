@@ -203,8 +203,8 @@ def add_plain_reflection(
         light = to_lights[i]
         scattering_vector = scattering_vectors[i]
         view = -wp.vec3f(scattering_vector) - light
-        # The roughness varies within the footprint. It is represented by two roughnesses with the same mean and
-        # variance.
+        # The roughness varies within the footprint of the pixel. It is represented by two roughnesses with the same
+        # mean and variance.
         spreads = has_spread(pixels, i)
         gloss = gloss_at(materials, pixels, i, view, wp.where(spreads, -1.0, 0.0))
         if gloss.alpha2 == 0.0:

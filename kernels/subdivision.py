@@ -278,8 +278,8 @@ def raise_levels(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
                 if marks[there] != wp.uint8(0):
-                    # More cells of this tile (subdivided pixel) cannot reduce the error that the other eight tiles
-                    # cause.
+                    # More cells of this tile (subdivided pixel) cannot reduce the part of the error that the eight
+                    # tiles around it cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
                     error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))

@@ -307,7 +307,7 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             const float angle2 = of_angle2 * turn_share * turn_share, ratio2 = of_ratio2 * ratio_share * ratio_share;
             const float both = parts.both[k] * turn_share * ratio_share;
             // The mean of ln |(u, v)| over a Gaussian differs from the value of ln |(u, v)| at the centre. The mean is
-            // computed to second order.
+            // computed to second order in the width of the Gaussian.
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;

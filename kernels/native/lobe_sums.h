@@ -57,7 +57,7 @@ struct Lobe {
         step_x = table.step_x, step_y = table.step_y, exponent = table.exponent;
     }
 
-    // Find the rows and columns of the block of Fourier coefficients in which weights are not negligible.
+    // Find the rows and columns of the block of Fourier coefficients in which Gaussian weights are not negligible.
     template <class Table>
     WARPDIFF_INLINE void find_range(const Table& table)
     {

@@ -52,8 +52,8 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, i
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
-// Compute the addresses of the table rows for a point. On the CPU, begin to fetch these rows from memory if the point
-// is illuminated.
+// Compute the addresses of the rows of the colour table for a point (u, v). On the CPU, begin to fetch these rows from
+// memory if the point is illuminated.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {

@@ -126,7 +126,7 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
     """Derivatives by ``wd.adjoint`` must equal central differences of pictures, which are rendered by other code."""
-    # The default method fits basis functions to each surface. Two fits would differ more than two pictures do.
+    # The default method fits basis functions to each surface. Two fits would differ by more than the pictures do.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
     change = rng.normal(size=FIELD.shape)

@@ -43,7 +43,7 @@ class SeriesSize:
 
     @classmethod
     def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
-        """Return the size of the series whose neglected terms have at most the relative size ``truncation``."""
+        """Return the size of series of Fourier coefficients with a relative error of at most ``truncation``."""
         low, high = kappa_range(*kappas, relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
         # The series of a Fourier coefficient in κ needs more terms if its largest phase is larger. An amplitude H is a

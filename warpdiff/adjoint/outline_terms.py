@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class OutlineTerms:
-    """Fourier coefficients of an outline at the orders of ``sites``, and at nodes (selected values) of |κ|."""
+    """Fourier coefficients of an outline (polygon) at the orders of ``sites``, for selected values (nodes) of |κ|."""
 
     def __init__(self, outline: Outline, sites: Sites, kappas: NDArray[np.float64]) -> None:
         self._positions = np.append(outline.positions, outline.positions[0] + 1.0)

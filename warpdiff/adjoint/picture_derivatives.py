@@ -51,7 +51,7 @@ class _PictureCall:
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each requested variable by its name."""
+        """Shape of each variable with respect to which derivatives are requested, by its name."""
         return {name: self._relief.variable_shape if name in SURFACE else () for name in self._names}
 
     def value(self) -> NDArray[np.float64]:

@@ -375,7 +375,7 @@ class LightPass(ABC):
         A recorded CUDA graph reads the arrays that existed when it was recorded, and therefore requires this reuse.
 
         Args:
-            previous: The pass of the same part in the previous picture; None if there is none.
+            previous: The pass of the same part of the light in the previous picture; None if there is none.
         """
 
     @property

@@ -76,8 +76,8 @@ class LobePass(LightPass):
     def _grid_key(self) -> tuple[Hashable, ...]:
         """Values on which the occluder grids depend. A grid lists the faces that may block light from one direction.
 
-        A disc light has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction
-        is that of another lobe.
+        A disc light has no grid. A lobe (Gaussian of directions) with a position or an emission profile has an empty
+        grid, even if its direction is that of another lobe.
         """
         lobes = self.part.lobes
         return type(self), *((lobe.to_light, lobe.position is None, lobe.profile is None) for lobe in lobes)
@@ -123,7 +123,7 @@ class LobePass(LightPass):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the occluder grids of all lobes exist (they may be empty), so that shadow rays can be traced."""
+        """Whether the occluder grids of all lobes of the light exist (some may be empty), for shadow rays."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:

@@ -82,7 +82,7 @@ class MipLayout:
 
     @classmethod
     def _of_window(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a coherence window, whose spectrum is smooth and is sampled."""
+        """Return the layout of a colour table for a coherence window, whose power spectrum is smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
         # A colour uses up to three rings (circles of constant frequency) beyond its octave of frequencies, and the
@@ -107,7 +107,7 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a light source of finite size: its spectrum is a sum of lines."""
+        """Return the layout of a colour table for a light source of finite size, whose spectrum is a sum of lines."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
         # The grid ends three rings (circles) beyond the largest frequency, because the spline of a look-up uses these
