@@ -124,8 +124,8 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings (circles of constant |(u,
-// v)|) are added from the outermost ring inwards.
+// Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings (circles of constant
+// |(u, v)|) are added from the outermost ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {

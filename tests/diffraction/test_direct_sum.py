@@ -128,7 +128,7 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return a large crop of the measured scan for coherence windows, and a small one for "source" and "replicas".
+    """Return a large crop of a measured surface for coherence windows, a small one for "source" and "replicas".
 
     The small crop saves time, because direct sums for these two kinds are slow.
     """

@@ -173,7 +173,7 @@ class LobeSums:
         return [self._lobes.sums(pairs, row) for row in rows]
 
     def _shifted(self, rows: Rows) -> Rows:
-        """Return the amplitudes of all diffraction orders, with the phases that the centre of the window causes."""
+        """Return the amplitudes of all diffraction orders, with the phases due to the coherence window's centre."""
         return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 

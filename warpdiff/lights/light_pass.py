@@ -174,7 +174,7 @@ class PassContext:
         return np.where(surfaces[finishes] == surface, gains, np.float32(0.0))
 
     def pigment_white(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the linear sRGB of a white pigment (base colour), relative to the mirror that defines the unit.
+        """Return the linear sRGB of a white pigment (base colour), relative to the mirror that is the unit of colours.
 
         ``is_of_sky`` states whether ``illuminant`` is the spectral radiance of a sky divided by λ².
         """

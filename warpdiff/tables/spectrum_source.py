@@ -149,7 +149,7 @@ class SpectrumSource(ABC):
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Return the kernels and types that convert spectrum rows to colours with ``w_basis_size`` functions of w."""
+        """Return the kernels and types that convert rows of the spectrum to colours with a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
