@@ -205,7 +205,7 @@ def test_grid_weights_are_bilinear_between_the_directions_of_the_grid(rng):
 
 @pytest.mark.parametrize("contrast", [0.5, 8.0])
 def test_factors_balance_a_symmetric_matrix(contrast, rng):
-    """The factors a that balance a symmetric matrix K with positive elements must satisfy a_i (K a)_i = 1 for all i."""
+    """The factors a of a symmetric matrix K with positive elements must satisfy a (K a) = 1."""
     matrix = rng.lognormal(0.0, contrast, (40, 40))
     matrix += matrix.T
     # The first row and column of the matrix have only the diagonal element 1: a direction that reflects light only into

@@ -155,7 +155,7 @@ def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
         file.write_text(SITE_YAML.replace("        0.8 2.2", f"        {row}\n        0.8 2.2"))
         with pytest.raises(ValueError, match=re.escape(f"line 9 must have 3 numbers (wavelength, n, k), got {row!r}")):
             wd.Material.from_file(file)
-    # Comments, blank lines and the sections that follow a table of refractive indices are no rows of the table.
+    # Comments, blank lines and the sections that follow a table are no rows of the table.
     file.write_text(
         SITE_YAML.replace("        0.8", "\n        # by hand\n        0.8") + "SPECS:\n    n_is_absolute: true\n"
     )
