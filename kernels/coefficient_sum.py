@@ -128,8 +128,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     Args:
         lanes: Number of terms (weights of basis functions) in a row of the table.
         form: Kind of the coherence, one of ``FORMS``.
-        powers: Whether the scalar product of a row and the basis functions is the power of a coefficient. Otherwise a
-            coefficient has two rows, for the real and the imaginary part of its amplitude.
+        powers: Whether the scalar product of a row and the basis functions is the power |H|² of a coefficient H.
+            Otherwise a coefficient has two rows, for the real and the imaginary part of H.
 
     Returns:
         A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.
@@ -141,7 +141,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.struct
     class Table:
         rows: wp.array(dtype=row_t)  # for each coefficient: a row for its power, or two for its real and imaginary part
-        # Values of the basis functions at equal steps in |κ| = |w|/λ: one below the range of |κ| in use, two above it.
+        # Basis functions at equal steps in |κ| = |w|/λ: one step below the range of |κ| in use, two steps above it.
         basis: wp.array(dtype=row_t)
         kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
         steps: wp.float64  # number of entries of ``basis`` per unit of |κ|
@@ -149,9 +149,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         count_x: wp.int32
         origin_y: wp.int32
         origin_x: wp.int32
-        length_y: wp.float64  # number of coefficients per unit of frequency [µm]
+        length_y: wp.float64  # number of Fourier coefficients along y per unit of frequency [µm]
         length_x: wp.float64
-        exponent: wp.float32  # coefficients with a weight below exp(−exponent) are excluded
+        exponent: wp.float32  # Fourier coefficients with a Gaussian weight below exp(−exponent) are excluded
         # Factors of the squared distances in the exponent of the coefficients' Gaussian weights, along y and x, at
         # λ = 1 µm. For a light source of finite size, they apply to normal incidence.
         across: wp.float32
@@ -166,15 +166,15 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         patch_y: wp.float64  # length of the patch along y [µm]
         patch_x: wp.float64
         has_pitch_scales: wp.bool  # for a source: whether the length of a direction to the light is a pitch scale
-        spread: wp.float32  # for a source: standard deviation of (u, v) at normal incidence
+        spread: wp.float32  # for a light source of finite size: standard deviation of (u, v) at normal incidence
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f, footprint: Footprint) -> Window:
         """Return the Gaussian weights of Fourier coefficients for one direction to the light.
 
         For a light source of finite size (coherence of kind "source"), the width of the Gaussian depends on the
-        wavelength; the result is for λ = 1 µm. A footprint widens this Gaussian. Other kinds of coherence ignore
-        footprints.
+        wavelength; the result is for λ = 1 µm. A footprint (range of (u, v) in a pixel) widens this Gaussian. Other
+        kinds of coherence ignore footprints.
         """
         window = Window()
         window.share = 1.0
@@ -238,7 +238,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the diffracted power at 1/λ = ``wavenumber``: a sum of Fourier coefficients with Gaussian weights."""
+        """Return the diffracted power at 1/λ = ``wavenumber``, from Fourier coefficients with Gaussian weights."""
         # The frequency q may be hundreds of coefficients away from the zeroth order, but the Gaussian weights extend
         # over a few coefficients only. Therefore the integer part of the position of q is removed in float64, and the
         # weights are computed in float32.
@@ -262,8 +262,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         first_y = wp.int32(wp.ceil(fy - radius_y))
         last_y = wp.int32(wp.floor(fy + radius_y))
         if wp.static(form == "source"):
-            # The widened Gaussian may extend beyond the stored Fourier coefficients; rows outside are skipped. A table
-            # with the origin 0 has all coefficients and is periodic, so that no row is outside.
+            # The widened Gaussian may extend beyond the stored Fourier coefficients; rows (orders s) outside are
+            # skipped. A table with the origin 0 has all coefficients and is periodic, so that no row is outside.
             if table.origin_y > 0:
                 first_y = wp.max(first_y, -table.origin_y - iy)
                 last_y = wp.min(last_y, table.origin_y - iy)
@@ -281,9 +281,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         total_im = wp.float32(0.0)
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
-        # The Gaussian weights along a row are computed by recurrence: each weight is the weight before times a factor,
-        # and each factor is the factor before times a constant. The first factor cannot overflow: it is at most the
-        # inverse of the smallest weight, because no weight exceeds 1.
+        # The Gaussian weights along a row of Fourier coefficients are computed by recurrence: each weight is the weight
+        # before times a factor, and each factor is the factor before times a constant. The first factor cannot
+        # overflow: it is at most the inverse of the smallest weight, because no weight exceeds 1.
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
         if wp.static(form == "source"):

@@ -31,9 +31,10 @@ from warpdiff.kernels.structs import Footprint
 # Compile options of this module. Loops are not unrolled, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# A look-up adds table rows of neighbouring azimuths (polar angles), or of neighbouring rings (radii), with tabulated
-# weights. The value is half of the largest number of such rows. Azimuths are periodic: this number of azimuths is
-# therefore repeated before the first and after the last one. If it is doubled, tables of weights need twice the memory.
+# A look-up adds rows of the colour table at neighbouring azimuths (polar angles of (u, v)), or at neighbouring rings
+# (circles of constant |(u, v)|), with tabulated weights. The value is half of the largest number of such rows. Azimuths
+# are periodic: this number of azimuths is therefore repeated before the first and after the last one. If it is doubled,
+# tables of weights need twice the memory.
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
 # arrays of this size.
@@ -41,15 +42,16 @@ BATCH = 256
 # While a direction is looked up, the table rows of the direction with an index larger by this number are fetched from
 # memory. The value was chosen freely, because other numbers change only the computing time.
 _AHEAD = 3
-# A filter converts the azimuth samples of a ring to coefficients of the spline through them. Each coefficient is a
-# weighted sum of this number of samples on each side. A sample at a distance of n has the weight √2 · (−0.17)ⁿ. The
-# value was chosen so that the weights of samples farther away, which are omitted, are at most 6e-6.
+# A filter converts the azimuth samples of a ring (circle of constant |(u, v)| in the table) to coefficients of the
+# spline through them. Each coefficient is a weighted sum of this number of samples on each side. A sample at a distance
+# of n has the weight √2 · (−0.17)ⁿ. The value was chosen so that the weights of samples farther away, which are
+# omitted, are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings of one octave. The value is limited by
-# the size of the kernel's local vectors.
+# Number of azimuth samples (polar angles of (u, v)) whose colours the kernel `blur` adds in one pass over the rings of
+# one octave of |(u, v)|. A ring is a circle of constant |(u, v)|. The value is limited by the size of local vectors.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts into which the footprint of a pixel is divided if the polar angle of (u, v) changes within the
@@ -62,21 +64,22 @@ DEVIATIONS = 3.0
 
 @wp.struct
 class FootprintTaps:
-    """Tables of weights with which a look-up adds the colours of azimuths (polar angles), or of rings (radii).
+    """Tables of weights with which a look-up adds the colours at azimuths (polar angles), or at rings (radii).
 
     Each weight is the value of the spline that interpolates between azimuths (or rings), blurred by a Gaussian. Weights
     are tabulated by the variance of this Gaussian.
     """
 
-    # Weights by the variance of the Gaussian, by the position between two azimuths or rings (a fraction), and by the
-    # azimuth or ring that is added; shape (variances, fractions, 2 HALF_TAPS).
+    # Weights of neighbouring azimuths (polar angles) or rings (radii) in a Gaussian blur. They are tabulated by the
+    # variance of the Gaussian, the fractional position between two azimuths or rings, and the azimuth or ring that is
+    # added; shape (variances, fractions, 2 HALF_TAPS).
     weights: wp.array3d(dtype=wp.float32)
     lengths: wp.array(dtype=wp.int32)  # number of weights that differ from 0, for each variance
-    # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuths, or of the
-    # rings.
+    # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuth samples, or of
+    # the rings (circles of constant |(u, v)|).
     per_variance: wp.float32
-    # A footprint may be divided into parts, which are narrower Gaussians. For each number of parts, from 1 on: variance
-    # of a part, and positions and weights of all parts.
+    # The footprint (range of (u, v)) of a pixel may be divided into parts, which are narrower Gaussians. For each
+    # number of parts, the array has the variance of a part, and the positions and weights of all parts.
     parts: wp.array3d(dtype=wp.float32)
 
 
@@ -126,17 +129,17 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.struct
     class Colours:
-        rows: wp.array(dtype=row_t)  # X, Y and Z by mip level, octave, azimuth and ring; the ring changes fastest
+        rows: wp.array(dtype=row_t)  # XYZ by mip level, octave of |(u, v)|, azimuth, ring; the ring changes fastest
         w_basis: wp.array(dtype=w_basis_t)  # functions of w at equal steps in |w|
         least_w: wp.float32  # |w| of the first entry of ``w_basis``
         per_w: wp.float32  # number of entries of ``w_basis`` per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, shape (levels, octaves)
-        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, shape (levels, octaves)
-        # Standard deviation of the blur in angle of the rows of each mip level [rad], shape (levels, octaves).
+        first_rows: wp.array2d(dtype=wp.int32)  # index of the row at azimuth 0, shape (mip levels, octaves)
+        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples per ring, shape (mip levels, octaves)
+        # Standard deviation of the blur in angle of the table rows [rad], by mip level and octave of |(u, v)|.
         blurs: wp.array2d(dtype=wp.float32)
         rings_per_octave: wp.int32
         rings_per_log: wp.float32  # number of rings per unit of ln |(u, v)|
-        octaves_per_ring: wp.float32  # one over the number of rings per octave
+        octaves_per_ring: wp.float32  # one over the number of rings per octave of |(u, v)|
         decimation_scale: wp.float32  # large values prevent look-ups from skipping rings, see ``colour_table``
         ring_of_one: wp.float32  # fractional index of the ring at which |(u, v)| would be 1
         least_uv: wp.float32  # the spectrum is constant below this |(u, v)|
@@ -168,8 +171,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends of a ring.
 
-        The splines pass through the colours ``values`` of one octave of the table. Each coefficient is a weighted sum
-        of the values at 2 ``FILTER_REACH`` + 1 azimuths of the same ring.
+        A ring is a circle of constant |(u, v)|, with azimuth samples. The splines pass through the colours ``values``
+        of one octave of |(u, v)|. Each coefficient is a weighted sum of the values at 2 ``FILTER_REACH`` + 1 azimuths
+        of the same ring.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -214,8 +218,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # Each ring (circle) has a sum over azimuths. A pass over the rings reads and writes all these sums. Several
-            # azimuths are therefore added in one pass, which saves memory accesses.
+            # Each ring (circle of constant |(u, v)|) has a sum over azimuth samples. A pass over the rings reads and
+            # writes all these sums. Several samples are therefore added in one pass, which saves memory accesses.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):
@@ -265,8 +269,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times ``gains``, to ``xyz_out``; ``footprints`` may be empty.
 
-        Gains are geometry factors. For a light source of finite size, directions that the table excludes are skipped.
-        The gains of these directions are written to ``unserved_gain``, which is 0 for all other directions.
+        Gains are geometry factors, and footprints are ranges of (u, v) in a pixel. For a light source of finite size,
+        directions that the table excludes are skipped. The gains of these directions are written to ``unserved_gain``,
+        which is 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

@@ -140,16 +140,19 @@ def weigh_gains(
     first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains by the weight of one table in a cubic interpolation over the pitch scale of dots.
+    """Multiply gains by the weight of one colour table in a cubic interpolation over the pitch scale of dots.
 
-    The length of a direction to the light is the pitch scale, relative to the smallest one of the map. The weight is
-    Lagrange's for equidistant tables: at most four tables have a weight for a dot, and some weights are negative.
+    A dot is a rectangle of a grating map with a scaled copy of one height field (the cell). The length of a direction
+    to the light is the pitch scale of the dot, relative to the smallest one of the map. Tables are equidistant in the
+    logarithm of the pitch scale. The weight is Lagrange's: at most four tables have a weight for a dot, and some
+    weights are negative.
 
     Args:
         to_lights: Directions to the light in the frames of the cells.
         gains: Geometry factors of the samples.
         octaves: Binary logarithm of the pitch scale of which the table has the exact colours.
-        per_octave: Number of steps per factor of two. The weight is 1 at the table and 0 at each whole number of steps.
+        per_octave: Number of interpolation steps per factor of two of the pitch scale. The weight is 1 at the pitch
+            scale of the table, and 0 at all other whole numbers of steps from it.
         first: Index of the first thread's first sample.
         run: Number of samples per thread.
         gains_out: Geometry factors multiplied by the weight.

@@ -14,7 +14,8 @@ from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 # Least cosine of the angle between the view direction and a face's normal; smaller cosines are replaced by it. The
-# value is limited by faces that are nearly edge-on, whose footprints would become infinite.
+# value is limited by faces that are nearly edge-on, on which footprints (changes of (u, v) in a pixel) would become
+# infinite.
 LEAST_FACING = 1e-4
 
 

@@ -33,7 +33,9 @@ def choose_lights(
     # Outputs of the kernel:
     towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
-    """Choose one of many distant lights for each ray. The probability is proportional to the expected brightness.
+    """Choose one of many distant lights for each ray, with a probability proportional to the expected brightness.
+
+    The brightness is that of the light which the surface is expected to scatter to the viewer.
 
     Args:
         lights: The lights, which have the same spectrum.

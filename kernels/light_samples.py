@@ -32,7 +32,7 @@ class Lights:
     deviations: wp.array2d(
         dtype=wp.vec3f
     )  # two perpendicular vectors, as long as the standard deviations of directions [rad], or of a light's positions
-    white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, in linear sRGB
+    white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment under each light, in linear sRGB
     rgb_to_xyz: wp.mat33d  # matrix from linear sRGB to XYZ
 
 
@@ -43,20 +43,21 @@ class Reflection:
     A finish is a surface with one of its materials.
     """
 
-    finishes: wp.array(dtype=wp.int32)  # finish of each face; empty if all faces have the finish 0
+    finishes: wp.array(dtype=wp.int32)  # finish (surface and material) of each face; empty if all have the finish 0
     surfaces: wp.array(dtype=wp.int32)  # surface of each finish
     normal_reflectances: wp.array(
         dtype=wp.float64
     )  # R(0) of Schlick's approximation, by finish; 1 if the integral over λ already includes R
     units: wp.array(dtype=wp.float64)  # factor from the colours of each finish to the unit of the picture
-    pigments: wp.array(dtype=wp.float64)  # strength of the pigment divided by R(0), by finish; empty without pigment
+    pigments: wp.array(dtype=wp.float64)  # strength of the pigment (base colour) divided by R(0), by finish; or empty
     per_light_cosine: wp.array(
         dtype=wp.bool
     )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and cosine of the angle from the normal
-    # Factors a of the energy normalisation for each surface, with which the powers of all orders of a perfect mirror
-    # sum to 1, tabulated by the angle from the normal and the azimuth. If the array is empty, they are not used.
+    # Factors a of the energy normalisation for each surface. With them, the powers of all diffraction orders of a
+    # perfect mirror sum to 1. They are tabulated by the angle of a direction from the normal and by its azimuth. If the
+    # array is empty, they are not used.
     energy: wp.array3d(dtype=wp.float32)
 
 
@@ -246,7 +247,7 @@ def add_light_rotation(
 
 @wp.func
 def covariance_of(footprint: Footprint) -> wp.vec3f:
-    """Return the covariance matrix of a footprint: its entries uu, uv and vv."""
+    """Return the entries uu, uv and vv of the covariance matrix of a footprint (range of (u, v) in a pixel)."""
     return wp.vec3f(
         footprint[0] * footprint[0] + footprint[2] * footprint[2],
         footprint[0] * footprint[1] + footprint[2] * footprint[3],

@@ -30,7 +30,7 @@ class LobeTable:
     coefficients: wp.array(dtype=wp.float64)  # coefficients of the Chebyshev series, ``terms`` numbers per row
     places: wp.array(dtype=wp.int32)  # row of ``coefficients`` for each Fourier coefficient of the block
     terms: wp.int32
-    rows: wp.int32  # number of rows of the block (orders s); ``columns`` is its number of columns (orders r)
+    rows: wp.int32  # number of orders s in the block; ``columns`` is the number of orders r
     columns: wp.int32
     first_row: wp.int32  # order s of the first row; ``first_column`` is the order r of the first column
     first_column: wp.int32
@@ -41,7 +41,10 @@ class LobeTable:
 
 @wp.struct
 class LobePairs:
-    """Pairs of a direction and a wavelength, at which Fourier coefficients are added with Gaussian weights."""
+    """Pairs of a direction and a wavelength, at which Fourier coefficients are added with Gaussian weights.
+
+    A cell is the place of one coefficient in the frequency plane.
+    """
 
     centres: wp.array(dtype=wp.vec2d)  # frequency q = (u, v)/λ of the maximum of each pair's weights [1/µm]
     forms: wp.array(dtype=wp.vec3d)  # elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²]
@@ -49,15 +52,15 @@ class LobePairs:
     # The following arrays are used only to compute adjoints (derivatives of a loss) of Fourier coefficients from those
     # of weighted sums of them; otherwise they are empty. A sum belongs to a pair of a direction and a wavelength.
     polynomials: wp.array(dtype=wp.float64)  # values of ``terms`` Chebyshev polynomials at the x of each pair
-    adjoints: wp.array(dtype=wp.float64)  # adjoint of the weighted sum that belongs to each pair
-    begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, and the number of pairs; sorted by cell
+    adjoints: wp.array(dtype=wp.float64)  # derivative of a loss by the weighted sum of each pair
+    begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, then the number of all pairs
     reach_y: wp.int32  # largest distance of coefficients from a pair's cell, in rows; ``reach_x``: in columns
     reach_x: wp.int32
 
 
 @wp.func_native(f"return warpdiff::sum_lobe<{MOST_TERMS}>(table, pairs, pair);")
 def sum_lobe(table: LobeTable, pairs: LobePairs, pair: wp.int32) -> wp.float64:
-    """Return the weighted sum of Fourier coefficients for a pair of a direction and a wavelength."""
+    """Return the sum of Fourier coefficients with Gaussian weights for one direction and wavelength (a pair)."""
 
 
 @wp.func_native(f"warpdiff::differentiate_lobe<{MOST_TERMS}>(table, pairs, pair, derivatives_out);")
@@ -88,7 +91,7 @@ def spread_lobes(table: LobeTable, pairs: LobePairs, cell: wp.int32, rows_out: w
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def sum_lobes(table: LobeTable, pairs: LobePairs, first: wp.int32, sums_out: wp.array(dtype=wp.float64)):
-    """Compute the weighted sum of Fourier coefficients for each pair of a direction and a wavelength."""
+    """Compute the sum of Fourier coefficients with Gaussian weights for each pair of a direction and a wavelength."""
     pair = first + wp.tid()
     sums_out[pair] = sum_lobe(table, pairs, pair)
 

@@ -138,7 +138,7 @@ def facet_density(alpha2: wp.float32, x: wp.float32, y: wp.float32) -> wp.float3
 
 @wp.func
 def blurred_density(gloss: Gloss, x: wp.float32, y: wp.float32) -> wp.float32:
-    """Return the GGX distribution D at the slopes x and y of a microfacet's normal, blurred by the footprint."""
+    """Return the GGX distribution D at the slopes x and y of a microfacet, blurred by the pixel's footprint."""
     result = facet_density(gloss.spread, x, y)
     if gloss.core > 1.0e-4:
         # The Gaussian is a density of slopes. Division by cos⁴ of the microfacet's angle converts it to the form of D.
@@ -203,8 +203,8 @@ def add_plain_reflection(
         light = to_lights[i]
         scattering_vector = scattering_vectors[i]
         view = -wp.vec3f(scattering_vector) - light
-        # The roughness varies within the footprint. It is represented by two roughnesses with the same mean and
-        # variance.
+        # The roughness varies within the footprint of the pixel. It is represented by two roughnesses with the same
+        # mean and variance.
         spreads = has_spread(pixels, i)
         gloss = gloss_at(materials, pixels, i, view, wp.where(spreads, -1.0, 0.0))
         if gloss.alpha2 == 0.0:

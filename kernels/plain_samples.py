@@ -122,7 +122,7 @@ def sample_plain_sky(
     """Draw one direction of the sky for each ray on a plain surface with a roughness, and add the reflected light.
 
     Args:
-        sky: Powers of the sky by direction.
+        sky: Power per solid angle of the sky by direction, for three spectra.
         table: Distribution of bright directions of the sky.
         pixels: Hits of the rays.
         materials: Materials of the plain surfaces.
@@ -249,7 +249,7 @@ def draw_plain_disc(
 
 @wp.struct
 class ChoicePoint:
-    """Values at a hit from which the expected brightness under many lights is computed: frame, view and lobe."""
+    """Values at a hit from which the expected brightness under many lights is computed: frame, view and BRDF."""
 
     tangent: wp.vec3f
     bitangent: wp.vec3f

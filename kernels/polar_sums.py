@@ -23,32 +23,38 @@ BLOCK_RINGS = 16
 # derivatives of a loss. Each ring is processed by a single thread.
 TOGETHER = 4
 # Largest number of terms of a Chebyshev series on a polar grid, which callers must check. The number is limited by the
-# stack, on which a thread stores the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
+# stack, on which a thread stores the polynomials of six rings (circles of the grid): 8 bytes × 6 × 256 = 12 kB.
 MOST_TERMS = 256
 
 
 @wp.struct
 class RingBlocks:
-    """Polar grid of the frequency plane, in blocks of ``BLOCK_RINGS`` rings with equally many azimuth samples."""
+    """Polar grid of the frequency plane, in blocks of ``BLOCK_RINGS`` rings with equally many azimuth samples.
 
-    azimuths: wp.array(dtype=wp.int32)  # number of azimuth samples of a ring, for each block
-    starts: wp.array(dtype=wp.int32)  # first row of values of each block; rows are sorted by ring, then by azimuth
-    first_directions: wp.array(dtype=wp.int32)  # index of the block's first azimuth in ``directions``, for each block
-    divisions: wp.array(dtype=wp.int32)  # number of samples of the spectrum per ring, for each block
-    first_radii: wp.array(dtype=wp.int32)  # index of the block's first sample in ``radii``, for each block
-    block_of: wp.array(dtype=wp.int32)  # index of the block of each azimuth in ``directions``
+    A ring is a circle of constant frequency t [1/µm].
+    """
+
+    azimuths: wp.array(dtype=wp.int32)  # number of azimuth samples of a ring, for each block of rings
+    starts: wp.array(dtype=wp.int32)  # first sample of each block of rings; samples are sorted by ring, then by azimuth
+    first_directions: wp.array(dtype=wp.int32)  # index of the first azimuth of each block of rings in ``directions``
+    divisions: wp.array(dtype=wp.int32)  # number of samples of the spectrum from one ring to the next, for each block
+    first_radii: wp.array(dtype=wp.int32)  # index of the first sample of each block of rings in ``radii``
+    block_of: wp.array(dtype=wp.int32)  # index of the block of rings of each azimuth in ``directions``
     is_used: wp.array(dtype=wp.bool)  # whether the spectrum is sampled at each azimuth in ``directions``
-    directions: wp.array(dtype=wp.vec2d)  # cosine and sine of each azimuth of each block
+    directions: wp.array(dtype=wp.vec2d)  # cosine and sine of each azimuth sample of each block of rings
     radii: wp.array(dtype=wp.float64)  # frequencies t at which the spectrum is sampled [1/µm], block by block
     log_first: wp.float64  # ln t of the innermost ring
     step: wp.float64  # difference of ln t between neighbouring rings
-    falloff: wp.float64  # factor a [µm²] of the weight exp(−a d²) of a coefficient at the distance d [1/µm]
-    excluded: wp.int32  # cell of the block of Fourier coefficients that is omitted from the sums; −1 if there is none
+    falloff: wp.float64  # factor a [µm²] of the weight exp(−a d²) of a Fourier coefficient at the distance d
+    excluded: wp.int32  # index of the Fourier coefficient that is omitted from the sums; −1 if there is none
 
 
 @wp.struct
 class PolarPixels:
-    """Scattering vectors whose colours are sums over rings of the spectrum, sorted by the ring index in ``places``."""
+    """Scattering vectors whose colours are sums over rings of the power spectrum, sorted by ``places``.
+
+    A ring is a circle of constant frequency |(u, v)|/λ.
+    """
 
     places: wp.array(dtype=wp.float64)  # ring index (a fraction) of the longest visible wavelength, for each direction
     turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
@@ -56,7 +62,7 @@ class PolarPixels:
     gains: wp.array(dtype=wp.float64)
     curves: wp.array3d(dtype=wp.float64)  # weights of rings: by the fractional part of ``places``, ring, and X, Y or Z
     reflectances: wp.array2d(dtype=wp.float64)  # reflectance of each direction at its rings; if empty, it is 1
-    adjoints: wp.array2d(dtype=wp.float64)  # adjoints of XYZ of each direction, for the transposed sum
+    adjoints: wp.array2d(dtype=wp.float64)  # derivatives of a loss by XYZ of each direction, for the transposed sum
     begins: wp.array(dtype=wp.int32)  # first direction that uses a ring of each group of ``TOGETHER`` rings
     ends: wp.array(dtype=wp.int32)  # last direction that uses a ring of each group, plus one
     least_kappa: wp.float64  # smallest κ of the Chebyshev series [1/µm]; ``places_per_kappa`` is 2 over their range
@@ -78,9 +84,10 @@ def spread_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Add contributions to the adjoint of one Fourier coefficient: those of the spectrum on all rings of a polar grid.
+    """Add the contributions of the spectrum on all rings of a polar grid to the adjoint of one Fourier coefficient.
 
-    An adjoint is the derivative of a loss. The coefficient is a series, and its adjoint has one number per term.
+    A ring is a circle of constant frequency. An adjoint is the derivative of a loss. The coefficient is a series, and
+    its adjoint has one number per term.
     """
 
 
@@ -94,7 +101,7 @@ def sum_rings(
 
 @wp.func_native(f"warpdiff::spread_pixels<{BLOCK_RINGS}, {TOGETHER}, {MOST_TERMS}>(grid, pixels, group, values_out);")
 def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
-    """Add contributions to the adjoints of the power spectrum on a few rings: those of the colours of all directions.
+    """Add the contributions of the colours of all directions to the adjoints of the power spectrum on a few rings.
 
     An adjoint is the derivative of a loss. A ring is a circle of the polar grid of the spectrum.
     """

@@ -1,4 +1,4 @@
-"""Constants and weights of the quadratic B-spline between equally spaced nodes, for kernels and for Python code."""
+"""Quadratic B-spline through values at equally spaced nodes: constants and weights for kernels and Python code."""
 
 import math
 

@@ -17,8 +17,8 @@ from warpdiff.kernels.thresholds import PERCENTILE
 # The values were chosen freely. With twice the deviation, pictures are blurred; with twice the truncation, a cell would
 # contribute to more than nine pixels.
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
-# Integrals of a pixel's filter over the previous pixel, the pixel itself and the next pixel of a row. They are derived
-# from FILTER_SIGMA and FILTER_CUT.
+# Integrals of the Gaussian filter of a pixel over the previous pixel, the pixel itself and the next pixel of a row.
+# They are derived from FILTER_SIGMA and FILTER_CUT.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # The finest level of refinement, with 4,096 subpixel cells per pixel. The value is limited by time: each level has four
@@ -58,8 +58,9 @@ ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # samples.
 SCATTER_FACTOR = 1.5
 # Safety factor for the random scatter that one tile (a pixel that is divided into cells) contributes to the error of a
-# pixel, when the level of the tile is raised. The factor was derived from an error that is the root sum of squares of
-# four equal contributions. It was tested on the meshes of a snake and a tube (docs/decisions/adaptive_sampling.md).
+# pixel, when the level of the tile is raised. The factor was derived from an error to which four tiles contribute
+# equally, as a root sum of squares. It was tested on the meshes of a snake and a tube
+# (docs/decisions/adaptive_sampling.md).
 SCATTER_CAUTION = 2.0
 # The reference luminance Y* of refinement is the luminance that this share of the illuminated pixels exceeds. It is the
 # 99th percentile of Y, so that the share is one minus this percentile. The Y* of reported errors may be larger, because

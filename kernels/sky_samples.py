@@ -28,7 +28,7 @@ LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
 @wp.struct
 class Sky:
-    """Sky on a latitude-longitude grid. The top row is around +y, and the middle column is towards −z."""
+    """Sky on a latitude-longitude grid. The top row of the grid is around +y; its middle column is towards −z."""
 
     powers: wp.array2d(dtype=wp.vec3f)  # power per solid angle by direction, one component per spectrum of the sky
     turn: wp.float32  # rotation of the sky about +y, as a share of a whole turn
@@ -42,15 +42,15 @@ class SkyDistribution:
     ring_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rings of (u, v)
     starts: wp.array(dtype=wp.int32)  # index of each ring's first azimuth sample; then the total number of samples
     spoke_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the azimuth samples within their ring
-    # Probability density of each azimuth sample of (u, v), per unit of ln|(u, v)| and per radian. The first ring is a
-    # disc, and its densities are per area.
+    # Probability density of each azimuth sample of (u, v), per unit of ln|(u, v)| and per radian. The first ring of
+    # constant |(u, v)| is replaced by a disc, and its densities are per area.
     densities: wp.array(dtype=wp.float32)
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc of the first ring
     per_log: wp.float32  # number of rings per unit of ln|(u, v)|
     row_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rows of blocks of the sky
     column_cdf: wp.array2d(dtype=wp.float32)  # cumulative probabilities of the sky's blocks within their row
     block_densities: wp.array2d(dtype=wp.float32)  # probability densities of the sky's blocks per solid angle
-    sky_share: wp.float32  # share of the samples that are drawn from the blocks of the sky
+    sky_share: wp.float32  # share of the directions that are drawn from the blocks of the sky
 
 
 @wp.func
@@ -146,7 +146,7 @@ def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3
     row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]
     column = find_step(columns, 0, columns.shape[0], point[1])
-    # Within the drawn block of the sky, directions are uniform in solid angle.
+    # Within the drawn block (square of cells of the sky's grid), directions are uniform in solid angle.
     per_row = wp.static(math.pi) / wp.float32(rows)
     top = wp.cos(per_row * wp.float32(row))
     bottom = wp.cos(per_row * wp.float32(row + 1))
@@ -197,8 +197,9 @@ def mirror_deflections(
 ):  # fmt: skip
     """Compute scattering vectors for light from the mirror direction, and count hits.
 
-    The footprints of a sky's samples are computed from these scattering vectors, before any direction of the sky is
-    drawn. Gains (geometry factors) are 1 at all hits, because a sky illuminates every point.
+    The footprints (ranges of (u, v) in a pixel) of a sky's samples are computed from these scattering vectors, before
+    any direction of the sky is drawn. Gains (geometry factors) are 1 at all hits, because a sky illuminates every
+    point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -231,7 +232,7 @@ def sample_sky(
     The light that the pigment (base colour) reflects is added to ``xyz_out``.
 
     Args:
-        sky: Powers of the sky by direction.
+        sky: Power per solid angle of the sky by direction, for three spectra.
         table: The distributions from which directions are drawn.
         pixels: Hits of the rays.
         footprints: Footprints of the rays' filters for light from the mirror direction.
@@ -254,7 +255,7 @@ def sample_sky(
         run: Number of rays per thread.
         scattering_vectors_out: (u, v, w).
         to_lights_out: Directions in the local frame.
-        gains_out: Gains by spectrum, (3, n); 0 where no light arrives.
+        gains_out: Geometry factors by spectrum of the sky, (3, n); 0 where no light arrives.
         xyz_out: Sums of colours, to which the pigment's light is added.
         illuminated_out: True is written where light arrives; an empty array is not written.
     """

@@ -25,9 +25,9 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
     Args:
         lanes: Number of terms (weights of basis functions) in a row of the table of Fourier coefficients.
-        powers: Whether rows are powers, for averaged windows. A sampled row is then a weighted sum of rows. Otherwise
-            rows are amplitudes, for centred windows. A sampled row then has the power of the weighted sum of rows at
-            several κ = w/λ.
+        powers: Whether rows are powers |H|² of Fourier coefficients H, for averaged windows. A sampled row is then a
+            weighted sum of rows. Otherwise rows are amplitudes H, for centred windows. A sampled row then has the power
+            of the weighted sum of rows at several κ = w/λ.
         width: Number of terms in a sampled row.
     """
     coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
@@ -46,7 +46,8 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         """Compute integrals of the power spectrum along one azimuth, each weighted by the spline of one ring.
 
         An azimuth is a polar angle of the frequency, and a ring is a circle of constant frequency. The rings belong to
-        one octave. Integrals of consecutive rings are written to consecutive rows from ``begin`` on.
+        one octave (factor of 2) of the frequency. Integrals of consecutive rings are written to consecutive rows from
+        ``begin`` on.
         """
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
@@ -67,7 +68,8 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(rings_per_octave * divisions)
-        # The B-spline of a ring, which weights the spectrum, begins one and a half rings before the ring.
+        # A ring is a circle of the frequency plane. The B-spline that weights the spectrum around a ring begins 1.5
+        # ring spacings inside the ring, at a lower frequency.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
         sample_azimuth(
             table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, rings_per_octave, first_t,
@@ -80,7 +82,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """Return the kernel that sums spectral lines near each azimuth (polar angle), and the type of its output rows."""
+    """Return the kernel that sums spectral lines near each azimuth (polar angle), and the type of the sums."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -100,15 +102,15 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
             lines: Indices into ``coefficients``, in the order of the lines' angles.
             angles: Angles of the lines [rad], from 0 to 2π, with copies of the lines near both ends, whose angles
                 differ by 2π.
-            places: Distances of the lines from the centre of the frequency plane, as positions among the rings.
+            places: Distances of the lines from the centre of the frequency plane, as fractional indices of rings.
             weights: Factors 1/|q|² of the lines at frequencies q, which convert powers per step of angle and ln |q| to
                 powers per area of the frequency plane.
             begins: For each azimuth, the index of the first line whose blur extends to the azimuth.
             ends: For each azimuth, the index of the last line whose blur extends to the azimuth, plus one.
-            rings: Number of rings of an azimuth.
+            rings: Number of rings for which integrals along an azimuth are computed.
             blur: Standard deviation of the blur in angle [rad].
             first: Index of the azimuth of the first thread.
-            values_out: Integrals; the rings of one azimuth are consecutive.
+            values_out: Integrals, one per ring and azimuth; the rings of one azimuth are consecutive.
         """
         azimuth = first + wp.tid()
         start = azimuth * rings
@@ -134,8 +136,8 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     """Return the kernels that integrate rows of a power spectrum over λ to colours.
 
-    A row has the weights of ``lanes`` basis functions for one frequency. A colour has coefficients of ``w_basis_size``
-    functions of w, for X, Y and Z. w is the normal component of the scattering vector.
+    A row has the weights of ``lanes`` basis functions of κ = w/λ for one frequency. A colour has coefficients of
+    ``w_basis_size`` functions of w, for X, Y and Z. w is the normal component of the scattering vector.
     """
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
@@ -153,7 +155,11 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy the rows of the spectrum for one octave of colours to working memory, for a few azimuths (angles)."""
+        """Copy the rows of the spectrum for the colours of one octave of |(u, v)| to working memory.
+
+        A row has the spectrum at one ring (radius) and azimuth (polar angle) of the frequency plane. A few azimuths are
+        copied.
+        """
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -166,7 +172,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths (polar angles) from ``length`` rows of the spectrum per azimuth.
 
-        A row belongs to one ring (circle). ``skipped`` rows precede the row at the ring of the first colour.
+        A row has the spectrum at one ring (circle of constant |(u, v)|/λ). ``skipped`` rows precede the row at the ring
+        of the first colour.
         """
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
@@ -176,11 +183,12 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         octave: wp.int32, length: wp.int32, sequence: wp.array(dtype=values_t), first: wp.int32, run: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
+        """Compute colours along a few azimuths (polar angles) at a time, at the rings of one octave of |(u, v)|.
 
-        At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of the same index. The
-        frequency of blue light is in the next octave, or just beyond it. The next octave has as many azimuths as this
-        octave, or twice as many. ``sequence`` is working memory of ``length`` rows per azimuth.
+        A ring is a circle. At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of
+        the same index. The frequency of blue light is in the next octave, or just beyond it. The next octave has as
+        many azimuths as this octave, or twice as many. ``sequence`` is working memory for ``length`` rows of the
+        spectrum per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
@@ -196,8 +204,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths (polar angles) of a line spectrum with ``row_count`` rings (circles).
 
-        Some of these rings precede or follow the octaves of the table. The filter that converts values to spline
-        coefficients requires these rings.
+        Some of these rings have smaller or larger radii than all octaves of |(u, v)| in the table. The filter that
+        converts values to spline coefficients requires these rings.
         """
         first_azimuth = (first + wp.tid()) * wp.static(abreast)
         at = first_azimuth * row_count
@@ -211,7 +219,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that adds colours to the rows of a colour table, times a factor for each ring (circle)."""
+    """Return the kernel that adds colours, times a factor per ring (circle of constant |(u, v)|), to a colour table."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -219,7 +227,7 @@ def adder(w_basis_size: int) -> wp.Kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows of colours by the factors of their rings (circles of constant |(u, v)|).
+        """Multiply colours of a table by the factors of their rings (circles of constant |(u, v)|).
 
         Add the products to ``rows_out``, or replace its values if ``begins`` is true.
         """

@@ -76,8 +76,8 @@ class Textures:
 
     texels: wp.array(dtype=wp.vec4f)  # linear RGBA of all levels of all images, row by row; the first row is at v = 1
     levels: wp.array2d(dtype=wp.int32)  # for each level of each image: index of its first texel, width and height
-    # For each texture: index of its first level in ``levels``, number of its levels, and how it continues beyond its
-    # edges along u and v.
+    # For each texture: index of the first level of its image pyramid in ``levels``, number of levels, and how it
+    # continues beyond its edges along u and v.
     table: wp.array2d(dtype=wp.int32)
     rows: wp.array(dtype=wp.int32)  # row of each face in the next array; −1 without a material
     of_base_colour: wp.array(dtype=wp.int32)  # texture of each row's base colour; −1 without one

@@ -100,8 +100,9 @@ class FilteredSums:
     # lights with random directions, the array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral
-    # of the pixel filter over one pixel, divided by the sum of the weights of the cells of that pixel.
+    # Factors that normalise sums over cells, for each level n (2ⁿ × 2ⁿ cells per pixel) and each of three pixels in a
+    # row. A factor is the integral of the pixel filter over one pixel, divided by the sum of the weights of the cells
+    # of that pixel.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
@@ -172,8 +173,8 @@ def select_levels(
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        # Other threads may have changed a neighbour's level already. This has no effect here: levels are only compared
-        # with 0, and a level of 0 does not change.
+        # Other threads may have changed the refinement level of a neighbouring pixel already. This has no effect here:
+        # levels are only compared with 0, and a level of 0 does not change.
         if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)
@@ -214,9 +215,9 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # To select a level, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
-        # For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors. The level
-        # is rounded to a whole number.
+        # To select a level, errors are assumed to be proportional to n⁻², where n is the number of subpixel cells along
+        # an axis. For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors.
+        # The level is rounded to a whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
@@ -277,8 +278,8 @@ def raise_levels(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
                 if marks[there] != wp.uint8(0):
-                    # More cells of this tile (subdivided pixel) cannot reduce the error that the other eight tiles
-                    # cause.
+                    # More cells of this tile (subdivided pixel) cannot reduce the part of the error that the eight
+                    # tiles around it cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
                     error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))

@@ -113,7 +113,7 @@ def mark_shared(
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark a pixel as ``SHARED`` if it has no mark, but it and all of its eight neighbours have levels above 0."""
+    """Mark a pixel as ``SHARED`` if it has no mark, but it and its eight neighbours have refinement levels above 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED

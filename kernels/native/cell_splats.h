@@ -64,7 +64,7 @@ WARPDIFF_INLINE CellSums sum_cells(
                 continue;
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            // Directions to the light may be random. A cell that is black for its random direction may then be
+            // Directions to the light may be random. A subpixel cell that is black for its random direction may then be
             // illuminated from another direction. All cells that hit the mesh therefore count as illuminated.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const quadrant = sums.quadrants[row / half * 2 + column / half];

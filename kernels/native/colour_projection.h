@@ -13,8 +13,8 @@
 
 namespace warpdiff {
 
-// Buffer for the rows of the spectrum along one azimuth, from which colours are computed. It has `length` rows, one per
-// ring.
+// Buffer for the rows of the spectrum along one azimuth (polar angle), from which colours are computed. It has `length`
+// rows, one per ring (circle of constant frequency).
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
@@ -52,8 +52,9 @@ WARPDIFF_INLINE void interpolate_halfway(
     }
 }
 
-// Collect the rows of the spectrum from which colours along AZIMUTHS azimuths are computed, `length` rows per azimuth.
-// The first row is zero and stands for the ring before the octave. The rows of the octave follow, then the rows of the
+// Collect the rows of the spectrum from which colours along AZIMUTHS azimuths (polar angles) are computed, `length`
+// rows per azimuth. A row belongs to one ring (circle of constant frequency). The first row is zero and stands for the
+// ring inside the first octave (factor of 2) of the frequency. The rows of this octave follow, then the rows of the
 // next octave, and if necessary the rows of a third octave. An octave may have half as many azimuths as the next
 // octave. Rows between the azimuths of the first octave are then interpolated.
 template <int TERMS, int AZIMUTHS, class Values, class Integers>
@@ -66,8 +67,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     const int* const counts = numbers<const int>(azimuths_of);
     const int coarse = counts[octave], count = counts[octave + 1], size = rings * ROW;
     const int more = octave + 2 < azimuths_of.shape[0] ? counts[octave + 2] / count : 0;
-    // With few rings (circles) per octave, two octaves have fewer rows of the spectrum than the filter for spline
-    // coefficients requires. The remaining rows are taken from a third octave.
+    // With few rings (circles) per octave of the frequency, two octaves have fewer rows of the spectrum than the filter
+    // for spline coefficients requires. The remaining rows are taken from a third octave.
     const int left = (length - 1 - rings) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
     auto rows_of_azimuth = [&](int of, int azimuth) {

@@ -34,9 +34,9 @@ constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
 // the computing time of pictures: with 0.15, pictures require 5 to 10 % more time than with 0.25.
 constexpr float WIDE = 0.25f;
 // If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
-// within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
-// the standard deviations of the angle and of ln |(u, v)|. Footprints beyond these limits surround the mirror
-// direction, and polar coordinates do not describe such footprints.
+// within a part, the curvature of the rings (circles of constant |(u, v)|) is ignored. `WIDEST_ANGLE` [rad] and
+// `WIDEST_RATIO` are upper limits for the standard deviations of the angle and of ln |(u, v)|. Footprints beyond these
+// limits surround the mirror direction, and polar coordinates do not describe such footprints.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // A look-up adds rings of the colour table (circles of constant |(u, v)|) with weights that blur over rings. Weights
 // are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger variances, they are values
@@ -46,9 +46,9 @@ constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // colour-matching function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Gaussian with which rings are weighted if the blur across rings is wide. It is truncated at `deviations` standard
-// deviations from its centre, and has the variance 1 after the truncation. Its variance before the truncation is
-// larger: 1/`per_variance`.
+// Gaussian with which rings (circles of the colour table) are weighted if the blur across rings is wide. It is
+// truncated at `deviations` standard deviations from its centre, and has the variance 1 after the truncation. Its
+// variance before the truncation is larger: 1/`per_variance`.
 struct CutGaussian {
     float deviations, per_variance;
 };
@@ -70,38 +70,40 @@ struct Footprints {
 };
 
 // Parts of the footprints of several pixels. A footprint with a large range of polar angles is divided into parts,
-// which are looked up separately. A part has a position in the table, and its colour is a weighted mean over rings and
-// azimuths.
+// which are looked up separately. A part has a position in the table, and its colour is a weighted mean over rings
+// (circles of constant |(u, v)|) and azimuths (polar angles).
 template <int N>
 struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    // `turns` and `place` are the polar angle [turns] and the index of the ring at the centre of a part. `deviation` is
-    // the standard deviation of a part across the rings, and `skew` a sixth of its skewness.
+    // `turns` and `place` are the polar angle [turns] and the index of the ring (circle of constant |(u, v)|) at the
+    // centre of a part. `deviation` is the standard deviation of a part across the rings, and `skew` a sixth of its
+    // skewness.
     Batch<N> turns, place, deviation, skew;
     Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments of the parts into which the footprints of pixels are divided. A segment is a group of consecutive rings that
-// a part of a footprint covers within one octave.
+// Segments: groups of consecutive rings (circles of constant |(u, v)| in the colour table) that are added together. The
+// rings of a segment lie within one octave (factor of 2) of |(u, v)|, and within one part of a pixel's footprint.
 template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth of
-    // the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of
-    // ln |(u, v)|. `behind` is the difference between the mean of ln |(u, v)| and its value at the centre. `blur` is
-    // the variance of the footprint in angle at the centre, and `level_blur` the variance that the rows of the mip
-    // level already have. Both variances are in steps of the table of weights, so that their difference is an index
-    // into the table. A rounding offset of ½ is included in `level_blur`.
+    // `position` is the azimuth (polar angle) of the centre of a footprint's part. At a ring (circle) with t times the
+    // radius of the centre, the azimuth of the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings]
+    // of the first ring of the segment from the mean of ln |(u, v)|. `behind` is the difference between the mean of ln
+    // |(u, v)| and its value at the centre. `blur` is the variance of the footprint in angle at the centre, and
+    // `level_blur` the variance that the rows of the mip level already have. Both variances are in steps of the table
+    // of weights, so that their difference is an index into the table. A rounding offset of ½ is included in
+    // `level_blur`.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows of the colour table that are added for one ring (circle), one row per azimuth. `row` is the index of the first
-// row, `count` the number of rows, and `taps` the index of the first weight in the table of weights.
+// Rows of the colour table that are added for one ring (circle), one row per azimuth sample. `row` is the index of the
+// first row, `count` the number of rows, and `taps` the index of the first weight in the table of weights.
 struct RingRows {
     int row, count, taps;
 };
@@ -292,7 +294,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
 }
 
 // Compute the position of each part of a footprint in the colour table. Compute also the two standard deviations of the
-// part: across the rings (circles) of the table, and across the azimuths.
+// part: across the rings (circles) of the table, and across the azimuths (polar angles).
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -305,14 +307,14 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             const float angle2 = of_angle2 * turn_share * turn_share, ratio2 = of_ratio2 * ratio_share * ratio_share;
             const float both = parts.both[k] * turn_share * ratio_share;
             // The mean of ln |(u, v)| over a Gaussian differs from the value of ln |(u, v)| at the centre. The mean is
-            // computed to second order.
+            // computed to second order in the width of the Gaussian.
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // The polar angle of (u, v) may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring.
-            // The remaining variance of the angle blurs each ring. The quadratic spline between rings adds a variance
-            // of ¼ rings².
+            // The polar angle of (u, v) may be correlated with ln |(u, v)|: the azimuth of the footprint then shifts
+            // from ring to ring (circles of constant |(u, v)|). The remaining variance of the angle blurs each ring.
+            // The quadratic spline between rings adds a variance of ¼ rings².
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
@@ -320,9 +322,9 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             parts.deviation[k] = deviation;
             // The distribution of ln |(u, v)| is skewed: on a logarithmic scale, smaller radii are farther away. The
             // skew is a sixth of the third moment, in standard deviations. A correlation of the angle with ln |(u, v)|
-            // would add a term to the third moment. This term is omitted, because it is derived for azimuths that are
-            // linear in ln |(u, v)|. In contrast, `place_ring` places the azimuths of a part on a straight line in
-            // (u, v).
+            // would add a term to the third moment. This term is omitted, because it is derived for azimuths (polar
+            // angles) that are linear in ln |(u, v)|. In contrast, `place_ring` places the azimuths of a part on a
+            // straight line in (u, v).
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
@@ -335,8 +337,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // This loop reads table entries at computed indices. It is separate from the other loops, because compilers do not
-    // vectorise a loop that contains such reads and has several outputs.
+    // This loop reads entries of the table of weights at computed indices. It is separate from the other loops, because
+    // compilers do not vectorise a loop that contains such reads and has several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
@@ -366,8 +368,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // If only every n-th ring of the table is added, the index of the first added ring is a multiple of n, so
-            // that neighbouring pixels use the same rings.
+            // If only every n-th ring (circle) of the table is added, the index of the first added ring is a multiple
+            // of n, so that neighbouring pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -375,13 +377,15 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Position in a list of parts of footprints: the index of the next part, and of the next table ring within that part.
+// Position in a list of parts of footprints: the index of the next part, and of the next ring (circle of the table)
+// within that part.
 struct NextRing {
     int part, ring;
 };
 
 // Divide parts of footprints into segments, until all parts are divided or the batch of segments is full. A segment has
-// consecutive rings of a part of a footprint, within one octave.
+// consecutive rings of the colour table (circles of constant |(u, v)|) that one part of a footprint covers. All of them
+// are in one octave (factor of 2) of |(u, v)|.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
@@ -404,8 +408,9 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select a mip level (a blurred copy of the table) for each segment, a group of rings within one octave. For each
-// segment, compute the azimuth, the blur over the angle and the first row on its level.
+// Select a mip level (a blurred copy of the table) for each segment, a group of table rings within one octave of
+// |(u, v)|. For each segment, compute the azimuth (polar angle), the blur over the angle and the first row on its
+// level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -416,8 +421,9 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     for (int from = 0; from < segments.count; from += ABREAST)
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
-            // Select the most blurred mip level whose blur does not exceed the blur of the footprint; each level has
-            // twice the blur of the level before. The remaining blur is added by a weighted sum over several azimuths.
+            // Select the most blurred mip level (copy of the table) whose blur does not exceed the blur of the
+            // footprint; each level has twice the blur of the level before. The remaining blur is added by a weighted
+            // sum over several azimuth samples.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
@@ -438,8 +444,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// Return the weight of the m-th ring of a segment (a group of rings): the value of a skewed Gaussian around the centre
-// of the part of the footprint, up to a constant factor.
+// Return the weight of the m-th ring of a segment (a group of rings of the colour table): the value of a skewed
+// Gaussian around the centre of the part of the footprint, up to a constant factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -448,9 +454,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings). Compute also the blur
-// that the mip level lacks, as an index of the table of weights. The width of a footprint in (u, v) is the same at all
-// rings, so that its angular width is inversely proportional to the radius.
+// Compute the azimuth (polar angle) of the footprint's centre at the m-th ring of a segment (a group of rings of the
+// colour table). Compute also the blur that the mip level lacks, as an index of the table of weights. The width of a
+// footprint in (u, v) is the same at all rings, so that its angular width is inversely proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -462,8 +468,8 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// Return the `count` rows around an azimuth that are added for the m-th ring of a segment (a group of rings). Return
-// also the index of the weights of these rows.
+// Return the `count` table rows around an azimuth (polar angle) that are added for the m-th ring of a segment, a group
+// of rings. Return also the index of the weights of these rows.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
@@ -482,9 +488,9 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Table rows and weights of all rings of several segments. A segment is a group of consecutive rings (circles of
-// constant |(u, v)|). On the CPU, rows and weights of a whole batch are stored before any row is added. A GPU computes
-// the rows and weights of a ring when it adds the rows of this ring.
+// Rows of the colour table, and their weights, for all rings of several segments. A segment is a group of consecutive
+// rings (circles of constant |(u, v)|). On the CPU, rows and weights of a whole batch are stored before any row is
+// added. A GPU computes the rows and weights of a ring when it adds the rows of this ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -534,8 +540,8 @@ struct SegmentRings {
     }
 };
 
-// Add the table rows of segments (groups of rings). After the last segment of a part of a footprint, convert the sum to
-// a colour and add this colour to the pixel.
+// Add the rows of the colour table that belong to segments (groups of rings). After the last segment of a part of a
+// footprint, convert the sum to a colour and add this colour to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)
@@ -568,7 +574,8 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
 }
 
 // Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, times geometry factors (gains). Each XYZ
-// is a mean over the footprint, and with `SOURCE` also over the light source.
+// is a mean over the footprint, and with `SOURCE` also over the light source. A footprint is the range of (u, v) in a
+// pixel.
 //
 // Directions that the table of a light source excludes are skipped. The gains of these directions are stored in
 // `unserved_gain`, which is 0 for all other directions.

@@ -43,7 +43,7 @@ struct LightPlace {
     }
 };
 
-// Shading frames, view directions and light directions of N pixels. Entries are arbitrary if a pixel does not hit the
+// Shading frames, view directions and light directions of N pixels. Values are arbitrary if a pixel does not hit the
 // mesh, or if there are fewer than N pixels.
 template <int N>
 struct ScatteringBatch {

@@ -57,11 +57,12 @@ struct Lobe {
         step_x = table.step_x, step_y = table.step_y, exponent = table.exponent;
     }
 
-    // Find the rows and columns of the block of Fourier coefficients in which weights are not negligible.
+    // Find the rows and columns of the block of Fourier coefficients in which Gaussian weights are not negligible.
     template <class Table>
     WARPDIFF_INLINE void find_range(const Table& table)
     {
-        // Weights are not negligible inside the ellipse dᵀMd = exponent. It extends to √(exponent · (M⁻¹)_xx) along x.
+        // Gaussian weights of coefficients are not negligible inside the ellipse dᵀMd = exponent. It extends to
+        // √(exponent · (M⁻¹)_xx) along x.
         const double scale = exponent / (xx * yy - xy * xy);
         const double reach_x = wp::sqrt(scale * yy) / step_x, reach_y = wp::sqrt(scale * xx) / step_y;
         first_column = within(qx / step_x - reach_x, table.first_column, table.columns, 1);

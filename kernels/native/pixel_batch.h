@@ -15,7 +15,7 @@ struct PixelBatch {
     Batch<N> to_view[3];
 
     // Load the `count` pixels from the index `from` on. A pixel without a hit gets the corners of an arbitrary face,
-    // and 0 for all other values. Entries after the last pixel are copies of the first pixel.
+    // and 0 for all other values. Array elements after the last pixel are copies of the first pixel.
     template <class Surface, class Pixels>
     WARPDIFF_INLINE void load(const Surface& surface, const Pixels& pixels, int from, int count)
     {

@@ -16,8 +16,9 @@ struct Points {
     Batch<N> u = {}, v = {}, w = {};
     Batch<N> turns, place; // polar angle [turns], and position as a fractional index of a ring
     AtW<N> at_w;
-    // A look-up interpolates between the rows of three rings and three azimuths. `first_row` is the row of the first
-    // ring on the first azimuth. `aside` is the distance of the point from the middle azimuth [spacings of azimuths].
+    // A look-up interpolates between table rows at three rings (circles) and three azimuths (polar angles). `first_row`
+    // is the row of the first ring on the first azimuth. `aside` is the distance of the point from the middle azimuth
+    // [spacings of azimuths].
     Batch<N, const float*> first_row;
     Batch<N> aside;
     Batch<N, int> first_ring, octave;
@@ -39,8 +40,8 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// Return the first table row of a ring that a look-up adds: the row on the first of the three azimuths around an angle.
-// `aside` receives the distance of the angle from the middle azimuth [spacings of azimuths].
+// Return the first table row of a ring (circle) that a look-up adds: the row on the first of the three azimuths (polar
+// angles) around an angle. `aside` receives the distance of the angle from the middle azimuth [spacings of azimuths].
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
@@ -51,8 +52,8 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, i
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
-// Compute the addresses of the table rows for a point. On the CPU, begin to fetch these rows from memory if the point
-// is illuminated.
+// Compute the addresses of the rows of the colour table for a point (u, v). On the CPU, begin to fetch these rows from
+// memory if the point is illuminated.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {
@@ -68,7 +69,8 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
     }
 }
 
-// Return the weighted sum of the nine rows of the colour table around a point: at three rings on three azimuths.
+// Return the weighted sum of the nine rows of the colour table around a point: at three rings (circles) on three
+// azimuths (polar angles).
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
 {
@@ -84,7 +86,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
             // The rings (circles) from index `left` on are in the next octave of the table (a doubling of the radius),
-            // which has another number of azimuths.
+            // which has another number of azimuth samples.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);

@@ -21,8 +21,8 @@ constexpr double RADIANS_PER_TURN = 6.283185307179586;
 constexpr int COLUMNS_TOGETHER = 128;
 
 // Weights with which a sample of the spectrum contributes to three rings (circles of the polar grid), whose indices are
-// `ring` − 1, `ring` and `ring` + 1. `k` is the index of the sample along an azimuth within a block of rings. Sample 0
-// is about one and a half ring spacings before the first ring of the block.
+// `ring` − 1, `ring` and `ring` + 1. `k` is the index of the sample along an azimuth (polar angle) within a block of
+// rings. Sample 0 is about 1.5 ring spacings inside the first ring of the block, at a lower frequency.
 struct SampleWeights {
     int ring;
     double weights[3];
@@ -124,8 +124,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
         const int first_direction = numbers<const int>(grid.first_directions)[block];
         const double* const radii = numbers<const double>(grid.radii) + numbers<const int>(grid.first_radii)[block];
         if (radii[count - 1] < radius - reach || radii[0] > radius + reach) continue;
-        // Only azimuths from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The range is
-        // wider by one azimuth on each side because of rounding errors.
+        // Only azimuth samples from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The
+        // range is wider by one azimuth on each side because of rounding errors.
         int begin = 0, end = azimuths;
         if (radius > 1.01 * reach) {
             const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;
@@ -144,8 +144,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
             if (half2 < -1.0e-9 * reach * reach) continue;
             const double half = wp::sqrt(wp::max(half2, 0.0));
             if (along + half < radii[0] || along - half > radii[count - 1]) continue;
-            // Along this azimuth, only samples at frequencies from `low` to `high` are near the Fourier coefficient.
-            // The range of their indices is wider on each side because of rounding errors.
+            // Along this azimuth (polar angle), only samples at frequencies from `low` to `high` are near the Fourier
+            // coefficient. The range of their indices is wider on each side because of rounding errors.
             const double per_sample = (double)divisions / grid.step;
             const double low = wp::max(along - half, radii[0]), high = wp::min(along + half, radii[count - 1]);
             const int from = wp::max((int)wp::floor((wp::log(low) - first_log) * per_sample + 1.5 * divisions) - 2, 0);
@@ -198,7 +198,7 @@ struct AroundRing {
         weights[3] = t * t * t / 6.0;
     }
 
-    // Return the index of the table row with the spectrum at azimuth sample j, where j is 0 to 3.
+    // Return the index of the array row with the power spectrum at azimuth sample j of the four, where j is 0 to 3.
     WARPDIFF_INLINE long long row(int j) const
     {
         const int azimuth = first + j;
@@ -225,8 +225,8 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights in X, Y and Z of ring m among the rings that contribute to the colour. The weights are 0 if m
-    // is not the index of such a ring.
+    // Compute the weights in X, Y and Z of ring m (a circle of constant frequency) among the rings that contribute to
+    // the colour of a direction. The weights are 0 if m is not the index of such a ring.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -236,8 +236,9 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at the wavelength of ring m among the rings that contribute to the colour. If m is not the
-    // index of such a ring, return the reflectance at the nearest of these rings.
+    // Return the reflectance at the wavelength of ring m (a circle of constant |(u, v)|/λ) among the rings that
+    // contribute to the colour of a direction. If m is not the index of such a ring, return the reflectance at the
+    // nearest of these rings.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {
@@ -262,11 +263,11 @@ WARPDIFF_INLINE void polynomials_at(
 
 // Compute the colour of one direction.
 //
-// A colour curve is the illuminant times x̄, ȳ or z̄. It is fitted by quadratic splines, one for each ring, with the
-// weights c. The value at a ring is the integral of the spectrum over the spline of this ring. The Chebyshev
-// polynomials in κ times the reflectance of the material, T, change within a spline. In a fit of the product of colour
-// curve and T, the spline therefore has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8, to second order. Here c₋ and T₋
-// belong to the ring before, and c₊ and T₊ to the ring after.
+// A colour curve is the illuminant times x̄, ȳ or z̄. It is fitted by quadratic splines, one for each ring (circle of
+// constant |(u, v)|/λ), with the weights c. The value at a ring is the integral of the spectrum over the spline of this
+// ring. The Chebyshev polynomials in κ times the reflectance of the material, T, change within a spline. In a fit of
+// the product of colour curve and T, the spline therefore has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8, to second
+// order. Here c₋ and T₋ belong to the ring before, and c₊ and T₊ to the ring after.
 template <int BLOCK_RINGS, int MOST_TERMS, class Grid, class Values, class Pixels, class Colours>
 WARPDIFF_INLINE void sum_rings(
     const Grid& grid, const Values& values, const Pixels& pixels, int pixel, Colours& xyz_out)
@@ -321,8 +322,8 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
             double xyz[3];
             rings.weights(pixels, ring - rings.first, xyz);
             weights[k] = gain * (adjoint[0] * xyz[0] + adjoint[1] * xyz[1] + adjoint[2] * xyz[2]);
-            // For rings that do not contribute to the colour of this direction, the polynomials are not computed,
-            // because their values may be huge.
+            // For rings (circles of the grid) that do not contribute to the colour of this direction, the polynomials
+            // are not computed, because their values may be huge.
             const bool used = ring >= rings.first - 1 && ring <= rings.first + rings.count;
             if (used) polynomials_at(grid, pixels, rings, pixel, ring - rings.first, terms, polynomials[k]);
         }

@@ -232,7 +232,7 @@ WARPDIFF_INLINE void visit_split_pixels(
     }
 }
 
-// Test which of the rays of nearby pixels the triangles of a batch cover.
+// Find the camera rays that the triangles of a batch cover, among the rays of nearby pixels.
 template <class Picture>
 inline void visit_rays(const Picture& picture, Triangles& triangles)
 {

@@ -14,12 +14,13 @@
 
 namespace warpdiff {
 
-// Number of azimuths (samples along a ring of the colour table) that are processed together. The value is limited by
-// the number of elements of a SIMD vector.
+// Number of azimuth samples on a ring (circle of constant |(u, v)|) of the colour table that are processed together.
+// The value is limited by the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
-// Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
-// directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
-// values are limited by time: a larger distance adds more rows.
+// Distance from its centre at which the Gaussian of a footprint (range of (u, v) in a pixel) is truncated [standard
+// deviations]. `OUTWARDS` is for directions away from the mirror direction, and `INWARDS` for directions towards it,
+// where surfaces are brightest. The values are limited by time: with a larger distance, more rows of the colour table
+// are added.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 // The colour of a footprint, a Gaussian over (u, v), is a sum over some rings (circles) of the colour table. Two limits
 // apply to the distance between added rings: `RINGS_APART` in ln |(u, v)|, over which colours are smooth, and
@@ -32,9 +33,9 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // standard deviation of the peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the
 // Gaussian, relative to that of the peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Rule for the mip level (a blurred copy of the table) from which rows are added. `MOST_BLUR2` is the maximum variance
-// of the blur of the level, relative to the variance of the footprint's Gaussian along the ring. `AZIMUTHS_APART` is
-// the maximum distance of the level's azimuths, in standard deviations of the Gaussian.
+// Rule for the mip level (a blurred copy of the colour table) from which rows are added. `MOST_BLUR2` is the maximum
+// variance of the blur of the level, relative to the variance of the footprint's Gaussian along the ring (circle).
+// `AZIMUTHS_APART` is the maximum distance of the level's azimuth samples, in standard deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian over (u, v): its mean and the inverse of its covariance.
@@ -42,18 +43,19 @@ struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// Mip level (a blurred copy of the table) from which the rings of one octave are added. `spacing` is the distance of
-// its azimuths [rad]. `blur2` is the variance of the blur of its rows minus the variance of the spline between azimuths
-// [rad²]. If the variance of the Gaussian along a ring is at least `until`, the next level is used.
+// Mip level (a blurred copy of the table) from which the rings of one octave of |(u, v)| are added. `spacing` is the
+// distance of its azimuth samples [rad]. `blur2` is the variance of the blur of its rows minus the variance of the
+// spline between azimuths [rad²]. If the variance of the Gaussian along a ring is at least `until`, the next level is
+// used.
 struct RingLevel {
     int octave, level, azimuths, first_row;
     float spacing, blur2, until;
 };
 
-// Return the value of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
-// point is (x, y). The rows of the table are blurred along the ring with the variance `blur2`. The variance of the
-// Gaussian along the ring is therefore reduced by `blur2`. For this reduction, the logarithm of the Gaussian along the
-// ring is approximated by a parabola.
+// Return the value of a Gaussian at a point of a ring (circle of constant |(u, v)|), or 0 beyond `cutoff` standard
+// deviations. The direction of the point is (x, y). The rows of the table are blurred along the ring with the variance
+// `blur2`. The variance of the Gaussian along the ring is therefore reduced by `blur2`. For this reduction, the
+// logarithm of the Gaussian along the ring is approximated by a parabola.
 WARPDIFF_INLINE float weight_on_ring(
     const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {
@@ -77,9 +79,10 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
-// Rings are processed from the outermost ring inwards. From one octave to the next inner octave, the blur of a level
-// [rad] may double. The search therefore starts with the level that is one step less blurred than the present level.
+// Replace `widest` by the most blurred mip level (copy of the table) in an octave of |(u, v)| that the variance of the
+// Gaussian along the ring permits. Rings (circles of constant |(u, v)|) are processed from the outermost ring inwards.
+// From one octave to the next inner octave, the blur of a level [rad] may double. The search therefore starts with the
+// level that is one step less blurred than the present level.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -121,13 +124,13 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings are added from the outermost
-// ring inwards.
+// Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings (circles of constant
+// |(u, v)|) are added from the outermost ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    // Rows are coefficients of a quadratic spline between rings, which blurs the rows by a variance of a quarter of the
-    // squared ring spacing. This variance is added to the covariance of the Gaussian.
+    // Rows are coefficients of a quadratic spline between rings (circles of the table), which blurs the rows by a
+    // variance of a quarter of the squared ring spacing. This variance is added to the covariance of the Gaussian.
     const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
     const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
     const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
@@ -142,8 +145,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // Distance between the rings that are added, a multiple of the distance between rings in the table. It is limited
-    // by the width of the Gaussian in the direction of (u, v).
+    // Distance between the rings (circles of constant |(u, v)|) that are added, a multiple of the distance between
+    // rings in the table. It is limited by the width of the Gaussian in the direction of (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
@@ -156,11 +159,11 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float nearer = wp::exp(-(float)apart / table.rings_per_log);
     WeighedRows<WIDTH> sum;
     sum.clear();
-    // The octave −1 means that no mip level has been selected yet.
+    // The index −1 of an octave of |(u, v)| means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // The smaller the radius of a ring is, the larger is the angle that the Gaussian covers on it. More blurred mip
-        // levels of the table then suffice.
+        // The smaller the radius of a ring (circle of the table) is, the larger is the angle that the Gaussian covers
+        // on it. More blurred mip levels (copies of the table) then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
@@ -168,9 +171,9 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         const float* const rows = numbers<const float>(table.rows)
             + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
         const long long stride = (long long)table.rings_per_octave * WIDTH;
-        // On a ring, the Gaussian covers an arc around the direction of (u, v). The points of a long and narrow
-        // Gaussian are also within two arcs around the directions of its long axis. These two arcs are used instead if
-        // they are shorter.
+        // On a ring (circle of constant |(u, v)|), the Gaussian covers an arc around the direction of (u, v). The
+        // points of a long and narrow Gaussian are also within two arcs around the directions of its long axis. These
+        // two arcs are used instead if they are shorter.
         const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
@@ -181,8 +184,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // The positions of arcs are rounded to 1/64 of the distance between azimuths. If two arcs touch, each azimuth
-        // is therefore in exactly one of them, in spite of the rounding errors of float32.
+        // The positions of arcs of a ring (circle) are rounded to 1/64 of the distance between azimuth samples. If two
+        // arcs touch, each azimuth is therefore in exactly one of them, in spite of the rounding errors of float32.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

@@ -57,7 +57,7 @@ struct FloatVector<8> {
 };
 #endif
 
-// A row of WIDTH floats, stored as the longest vectors into which the row can be divided. On the CPU, WIDTH is a
+// A table row of WIDTH floats, stored as the longest vectors into which the row can be divided. On the CPU, WIDTH is a
 // multiple of four.
 template <int WIDTH>
 struct Row {
@@ -84,7 +84,7 @@ struct Row {
     }
 };
 
-// A weighted sum of rows of a table, and the sum of the weights.
+// A weighted sum of rows of a colour table, and the sum of the weights.
 template <int WIDTH>
 struct WeighedRows {
     Row<WIDTH> rows;

@@ -161,14 +161,14 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
         ((typename Row<WIDTH>::Vector*)rows)[(long long)ring * Row<WIDTH>::VECTORS + l] = value.at[l];
 }
 
-// Compute the integrals of the spectrum along one azimuth at `rings` rings, and store them from the row `begin` on. A
-// sample at the frequency t [1/µm] is at the position (`sine` · t, `cosine` · t), in units of the distance of
-// neighbouring coefficients. There are `divisions` samples from one ring to the next. The argument `t` is the frequency
-// of the first sample. Each sample has `ratio` times the frequency of the previous sample, up to the frequency
-// `highest`.
+// Compute the integrals of the spectrum along one azimuth (polar angle) at `rings` rings (circles), and store them from
+// the row `begin` on. A sample at the frequency t [1/µm] is at the position (`sine` · t, `cosine` · t), in units of the
+// distance of neighbouring coefficients. There are `divisions` samples from one ring to the next. The argument `t` is
+// the frequency of the first sample. Each sample has `ratio` times the frequency of the previous sample, up to the
+// frequency `highest`.
 //
-// Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
-// values of κ = w/λ before integration.
+// A row has the TERMS series terms of a power |H|² (PARTS = 1), or of the real and imaginary part of an amplitude H
+// (PARTS = 2). Amplitudes are converted to powers at WIDTH values of κ = w/λ before integration.
 template <int TERMS, int PARTS, int WIDTH, class Table, class Bases, class Values>
 WARPDIFF_INLINE void sample_azimuth(const Table& table, const Bases& bases, double sine, double cosine, int rings,
     double t, double ratio, int divisions, double highest, float scale, int excluded, int begin, Values& values_out)

@@ -37,8 +37,8 @@ struct TextureLevel {
     int width, height;
 };
 
-// Texture with the index `number`. `row` has the index of its first level, the number of its levels, and its wrap mode
-// on both axes.
+// Texture with the index `number`. `row` has the index of the first level of its image pyramid, the number of levels,
+// and the wrap mode on both axes.
 template <class Textures>
 struct Texture {
     const float* texels;
@@ -179,7 +179,7 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
     const Texture<Textures> texture(textures, number);
     const TextureLevel whole = texture.level(0);
     const float width = (float)whole.width, height = (float)whole.height;
-    // Covariance of the footprint in texels of level 0, and its eigenvalues.
+    // Covariance of the footprint in texels of level 0 (the image itself), and its eigenvalues.
     const float x0 = width * footprint[0], y0 = height * footprint[1];
     const float x1 = width * footprint[2], y1 = height * footprint[3];
     const float xx = x0 * x0 + x1 * x1, xy = x0 * y0 + x1 * y1, yy = y0 * y0 + y1 * y1;

@@ -133,8 +133,8 @@ def test_spectral_derivatives(kind, seed):
     adjoints = vjp(weights)
     for name in names:
         # If only the mirror order contributes to a direction, the derivative with respect to a pitch may be far below
-        # the reflectance divided by the pitch. The error of this derivative is then compared with the size of the terms
-        # that cancel in it.
+        # the reflectance divided by the pitch. The error of this derivative is then compared with the size of the
+        # summands that cancel in it.
         result, expected, scale = [], [], np.abs(weights * value).max() if name == "pitch_um" else 0.0
         key = REFERENCE_NAMES.get(name, name)
         for index in indices_of(name, heightfield, rng):

@@ -64,7 +64,10 @@ def points(renderers):
 
 
 def check_transposes(result, rng, *names):
-    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y for each variable, where jvp gives J x and vjp gives Jᵀ y."""
+    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y, where J is the matrix of derivatives by one of the variables.
+
+    jvp gives J x, and vjp gives Jᵀ y.
+    """
     y = rng.normal(size=result.value.shape)
     adjoints = result.vjp(y)
     assert set(adjoints) == set(names)
@@ -123,7 +126,7 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
     """Derivatives by ``wd.adjoint`` must equal central differences of pictures, which are rendered by other code."""
-    # The default method fits basis functions to each surface. Two fits would differ more than two pictures do.
+    # The default method fits basis functions to each surface. Two fits would differ by more than the pictures do.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
     change = rng.normal(size=FIELD.shape)
@@ -178,7 +181,7 @@ def test_tangents_are_the_transposes_of_adjoints(name, renderers, rng):
 
 @pytest.mark.parametrize("shape", [(40, 48), (1, 48), (48, 1)])
 def test_sums_over_rings_and_their_transpose(shape, rng):
-    """Sums over rings and their transpose must equal explicit sums of random coefficients.
+    """Sums over rings and their transpose must equal explicit sums of random Fourier coefficients.
 
     A ring is a circle of the polar grid of frequencies. Directions are random. The test is made with and without an
     excluded Fourier coefficient.
@@ -209,7 +212,7 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
 
 @pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
 def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
-    """Sums over orders with wide Gaussian weights (lobes) may join neighbouring orders, with a small error.
+    """Sums over orders with wide Gaussian weights (lobes) may add neighbouring orders first, with a small error.
 
     The lobes have very different sizes and directions.
     """
@@ -242,7 +245,7 @@ def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
 
 
 def test_unused_azimuths_are_not_needed(rng):
-    """A polar grid with only the azimuths of the tested directions must give the same colours as all azimuths."""
+    """A polar grid with only the azimuth samples that directions use must give the same colours as a full grid."""
     turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
     vectors = np.column_stack([np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns), np.full(420, -1.5)])
     lit = LitPixels(np.arange(420), vectors, np.zeros((420, 3)), np.ones(420), None, IlluminatedMaterial("D65"))
@@ -309,7 +312,7 @@ def test_deep_surfaces_have_grids(points):
 
 
 def test_series_with_more_terms_than_kernels_support_use_no_grid(points):
-    """A height range of 20 µm needs more series terms than kernels support. Sums over λ must replace the polar grid."""
+    """A height range of 20 µm needs longer series than kernels support. Sums over λ must replace the polar grid."""
     deep = wd.HeightField.of_known_scale(10.0 * np.sin(np.arange(64.0) * np.pi / 32.0)[None], FIELD.pitch_um)
     with mock.patch.object(picture_model, "PolarGridSums", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -329,7 +332,7 @@ def test_derivatives_by_the_index_of_refraction(square):
 
 
 def test_pictures_of_metals_and_films_have_grids(body, view):
-    """Metals and thin films must use polar grids: each ring of the grid uses the reflectance at its wavelengths."""
+    """Metals and thin films must use polar grids; each ring (circle) uses the reflectance at its wavelengths."""
     film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 300.0)
     renderer = renderer_of(body, view, ior=None, material=film, tolerance=0.1)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):

@@ -118,8 +118,8 @@ def test_the_fitted_basis_is_the_smallest():
         for tolerance in (1e-2, 1e-4):
             argument = 2.0 * math.pi * RANGES[0][1] * series.offset_and_scale(heightfield)[1]
             assert low_rank.terms_within(tolerance) < power.terms_within(tolerance)
-            # A term of a series of amplitudes has two numbers per coefficient (real and imaginary part). A term of a
-            # series of powers has one number.
+            # A term of a series of Fourier amplitudes has two numbers per coefficient (real and imaginary part). A term
+            # of a series of powers has one number.
             assert power.terms_within(tolerance) < 2 * series.term_count(argument, tolerance)
 
 
@@ -214,7 +214,7 @@ def test_higher_orders_of_a_shallow_surface_are_accurate(method):
 @pytest.mark.parametrize("parts", [1, 2])
 @pytest.mark.parametrize("shape", [(3, 5), (20, 40)])
 def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_their_powers(shape, parts, rng):
-    """The 64 strongest Fourier coefficients must be selected by their powers at the middle of the range of |κ|.
+    """The 64 strongest Fourier coefficients must be selected by their powers |H|² at the middle of the range of |κ|.
 
     Fewer than 64 coefficients are all returned.
     """

@@ -107,8 +107,8 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
     """Return the largest error of spectra by ``method`` for random directions, divided by the allowed error.
 
-    Errors are differences from the direct sum. The allowed error of a spectrum is 1e-4 of its largest value. For dark
-    spectra it is 1e-8 of the largest value of all spectra, if this is larger.
+    Errors are differences from the direct sum. The allowed error of the spectrum of a direction is 1e-4 of its largest
+    value. For dark spectra it is 1e-8 of the largest value of all spectra, if this is larger.
     """
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
     # The plan (numbers of wavelengths and terms) is made for the three directions with the largest |(u, v)|, the least
@@ -128,7 +128,7 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return a large crop of the measured scan for coherence windows, and a small one for "source" and "replicas".
+    """Return a large crop of a measured surface for coherence windows, a small one for "source" and "replicas".
 
     The small crop saves time, because direct sums for these two kinds are slow.
     """
@@ -219,7 +219,7 @@ def test_colours_meet_the_tolerance(kind, rng):
 
 
 def test_the_direct_method_does_not_use_the_series(monkeypatch):
-    """The direct sum must work without the series expansions, because it validates the methods that use them."""
+    """The direct sum must work without series of exp(2πiκh), because it validates the methods that use them."""
     monkeypatch.setattr(fourier_coefficients, "series_coefficients", None)
     heightfield = wd.HeightField(np.zeros((4, 4)), 0.05)
     value = wd.spectral_reflectance(heightfield, (0, 0, 1), (0, 0, 1), 550.0, method="direct")

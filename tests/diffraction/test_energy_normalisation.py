@@ -36,8 +36,9 @@ def test_powers_of_all_bins_add_up_to_one(bin_um):
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
         assert powers.at(bins, kappa).sum() == pytest.approx(1.0, rel=1e-6)
-    # A bin sums the powers of neighbouring orders. It has the requested width, rounded to a whole number of orders. The
-    # first and the last bin may have fewer orders, so that the distance between the centres of bins may be smaller.
+    # A bin sums the powers |H|² of neighbouring orders. It has the requested width, rounded to a whole number of
+    # orders. The first and the last bin may have fewer orders, so that the distance between the centres of bins may be
+    # smaller.
     for frequencies, length in zip(powers.frequencies.T, (1.3, 1.5), strict=True):
         widest = np.max(np.diff(np.unique(frequencies)))
         assert 0.8 < widest / (max(round(bin_um * length), 1) / length) < 1.0 + 1e-9

@@ -44,7 +44,7 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
 
 
 def test_reflectances_of_a_material_are_bilinear(rng):
-    """Reflectances of a material are tabulated over angle and wavelength, and interpolated between the entries.
+    """Reflectances of a material are tabulated over angle and wavelength, and interpolated linearly.
 
     If the reflectance is a bilinear function, interpolation must be exact, also at the ends of both axes.
     """
@@ -87,10 +87,10 @@ def test_each_direction_uses_the_smallest_sufficient_set_of_wavelengths(kind, rn
 
     The bandwidth is the number of wavelengths that the direction requires per unit of 1/λ.
 
-    The weights of the wavelengths are replaced: X is the index of the set, and Y is 1. The ratio X/Y of a result is
-    then the index of the set that the kernel used. For a light source of finite size (coherence of the kind "source"),
-    diffraction orders pass a direction at the rate √(d Σ⁻¹ d) as the wavelength changes. Here d is (u, v), and Σ is the
-    covariance of (u, v) for a source whose spread is 1.
+    The weights of the wavelengths in XYZ are replaced: the weight in X is the index of the set, and in Y it is 1. The
+    ratio X/Y of a result is then the index of the set that the kernel used. For a light source of finite size
+    (coherence of the kind "source"), diffraction orders pass a direction at the rate √(d Σ⁻¹ d) as the wavelength
+    changes. Here d is (u, v), and Σ is the covariance of (u, v) for a source whose spread is 1.
     """
     device, count = wp.get_device("cpu"), 60
     heightfield = noise((8, 128), (0.06, 0.05))

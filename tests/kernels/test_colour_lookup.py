@@ -73,12 +73,12 @@ def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footp
         results[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
     (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
     served = native_unserved == plain_unserved
-    # For a direction near the limit of the table, rounding decides whether the direction is looked up in the table.
-    # Directions for which the native look-up and its reference implementation decide differently are excluded.
+    # For a direction near the limit of the colour table, rounding decides whether the direction is looked up in the
+    # table. Directions for which the native look-up and its reference implementation decide differently are excluded.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # The table is a polar grid of (u, v). Native look-ups round positions between two azimuths of this grid, or between
-    # two of its rings, to 1/64 of their distance.
+    # The table is a polar grid of (u, v). Native look-ups round positions between two azimuth samples of this grid, or
+    # between two of its rings (circles), to 1/64 of their distance.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

@@ -72,7 +72,8 @@ KERNELS = {
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
 # Kernels whose compilation is tested. They sum Fourier coefficients from a table. Each entry has the number of terms of
-# the series of a coefficient, the coherence model, and whether the table has powers (True) or amplitudes (False).
+# the series of a coefficient, the coherence model, and whether the table has powers |H|² (True) or amplitudes H
+# (False).
 FORMS = [
     (8, "averaged", True), slow(24, "averaged", False), slow(24, "centred", False), slow(8, "source", True),
     slow(24, "source", False), slow(24, "replicas", False),

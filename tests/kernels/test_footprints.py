@@ -218,7 +218,7 @@ def test_a_wide_footprint_weights_each_ring_by_its_area():
 
     The colours of the table are a narrow Gaussian function of |(u, v)|. The footprint and this Gaussian have the mirror
     direction as their common centre. Near this direction, look-ups of wide footprints skip every second ring of the
-    table.
+    table (circle of constant |(u, v)|).
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)

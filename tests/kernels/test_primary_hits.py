@@ -288,8 +288,8 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
         result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
-    # If a ray passes through an edge, rounding decides which face it hits. A few cells may therefore have another face
-    # than traced rays find.
+    # If a ray passes through an edge, rounding decides which face it hits. A few subpixel cells may therefore have
+    # another face than traced rays find.
     assert np.mean(face != face_by_rays) < 2e-3
     same = (face == face_by_rays) & (face >= 0)
     assert np.count_nonzero(same) > 200

@@ -81,7 +81,7 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
             square += len(cells) * np.var(cells, axis=0, ddof=1).sum() if len(cells) > 1 else 0.0
     expected = np.sqrt(square) / across**2
     assert changes.numpy()[5] == pytest.approx(expected, rel=1e-4)
-    # Equal colours have no variance, even if some cells miss the mesh.
+    # Equal colours have no variance, even if some subpixel cells miss the mesh.
     inputs[0] = array(np.ones((across**2, 3)), wp.vec3f)
     launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
     assert changes.numpy()[5] == pytest.approx(0.0, abs=1e-6)

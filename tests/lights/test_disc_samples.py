@@ -27,7 +27,7 @@ def fingers():
 
 
 def points_of(light, count):
-    """Return many directional lights that replace a disc light. These lights are in concentric rings on the disc."""
+    """Return many directional lights, in concentric rings (annuli) on a disc light, which they replace."""
     axis, radius = np.asarray(light.to_light), math.radians(light.angular_diameter_deg / 2.0)
     aside = np.cross(axis, (1.0, 0.0, 0.0))
     aside /= np.linalg.norm(aside)
@@ -35,8 +35,8 @@ def points_of(light, count):
     rings = round(math.sqrt(count / math.pi))
     result = []
     for ring in range(rings):
-        # All rings have equal widths. The number of lights in a ring is proportional to the length of the ring. These
-        # lights share the solid angle of the ring equally.
+        # The disc is divided into rings (annuli) of equal width. The number of lights in a ring is proportional to the
+        # length of the ring. These lights share the solid angle of the ring equally.
         inner, outer = radius * ring / rings, radius * (ring + 1) / rings
         middle, points = 0.5 * (inner + outer), max(round(2.0 * math.pi * (ring + 0.5)), 3)
         share = (math.cos(inner) - math.cos(outer)) / (1.0 - math.cos(radius)) / points

@@ -72,8 +72,8 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     # so that the error of the mean is mainly that of the colour table.
     result = result.mean(axis=(0, 1))
     # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
-    # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps
-    # of the direction's x and y components, so that dω = dx dy / cos θ.
+    # adds ρ L dω / Ω to the reflected radiance, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers.
+    # The grid has equal steps of the direction's x and y components, so that dω = dx dy / cos θ.
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
     inside = x**2 + y**2 < 1.0
@@ -218,7 +218,7 @@ def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, squar
 
 @dataclasses.dataclass(frozen=True)
 class RayOfASky(wd.DirectionalLight):
-    """Directional light whose illuminant is a radiance divided by λ², like a ray of a sky."""
+    """Directional light whose illuminant is a spectral radiance divided by λ², like a ray of a sky."""
 
     def lobes(self):
         return tuple(dataclasses.replace(lobe, is_of_sky=True) for lobe in super().lobes())
@@ -304,7 +304,7 @@ def test_a_sky_of_any_proportions_keeps_the_power_of_a_bright_pixel(shape, monke
     solid = 2.0 * math.pi / width * np.diff(-np.cos(np.arange(height + 1) / height * math.pi))
     on_grid = np.diff(-np.cos(np.arange(513) / 512 * math.pi))[:, None, None] * 2.0 * math.pi / 1024
     # Interpolation of the sky's image on a grid conserves the power of a pixel only approximately. The sum of the
-    # weights depends on the position of the pixel between the cells of the grid, by up to 1.2 % here.
+    # interpolation weights depends on the position of the pixel between the cells of the grid, by up to 1.2 % here.
     row = height // 2 + height // 9
     for column in (0, *range(width // 4, width // 4 + 5), width - 1):
         sky = np.zeros((*shape, 3), dtype=np.float32)

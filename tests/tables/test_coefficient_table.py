@@ -51,7 +51,7 @@ def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
     assert len(builds) == 1
-    # Another ``HeightField`` object with equal heights has its own tables.
+    # Another ``HeightField`` object with equal heights has its own tables of coefficients.
     wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
     assert len(builds) == 2
 
@@ -64,8 +64,8 @@ def test_the_number_of_cached_tables_is_limited(rough, builds):
         wd.reflectance(heightfield, UP, UP, plan=each)
     assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
-    # The cache contains the tables that were used last. The table of the last plan is reused. The table of the first
-    # plan has been removed from the cache, and is built again.
+    # The cache contains the tables of coefficients that were used last. The table of the last plan is reused. The table
+    # of the first plan has been removed from the cache, and is built again.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
     assert len(builds) == 1 + len(scopes)
     wd.reflectance(heightfield, UP, UP, plan=scopes[0])

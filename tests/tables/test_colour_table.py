@@ -64,7 +64,8 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
     # The CIE colour-matching functions have kinks. The errors of splines that are fitted to them therefore decrease
-    # only in proportion to the distance between the rings of a table, each of which has one spline.
+    # only in proportion to the distance between the rings (circles of constant |(u, v)|) of a table, each of which has
+    # one spline.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
@@ -95,10 +96,10 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     ids=str,
 )
 def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum along azimuths must equal sums over all Fourier coefficients, projected on splines.
+    """Samples of the spectrum along azimuths (polar angles) must equal sums over all Fourier coefficients.
 
-    Each coefficient has a Gaussian weight by its distance from the sample. The kernel's samples are compared with sums
-    in float64.
+    The spectrum is projected on splines. Each coefficient has a Gaussian weight by its distance from the sample. The
+    kernel's samples are compared with sums in float64.
     """
     lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
     parts = 1 if powers else 2
@@ -158,9 +159,9 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
     """Colours that the kernel computes must equal float64 sums over spline coefficients of the spectrum.
 
-    A recursive filter computes the coefficients from samples of the spectrum, which is 0 beyond its last octave. The
-    filter begins ``reach`` samples beyond the samples that colours require. Over this distance, the error of the
-    filter's first value decays. With ``reach`` = 0, the first value itself must be correct.
+    A recursive filter computes the coefficients from samples of the spectrum, which is 0 beyond its last octave of the
+    frequency. The filter begins ``reach`` samples beyond the samples that colours require. Over this distance, the
+    error of the filter's first value decays. With ``reach`` = 0, the first value itself must be correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -168,7 +169,8 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
     rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
     starts = nodes * (np.cumsum(rays) - rays)
     if octaves == 2:
-        # The memory behind the last octave belongs to other data and must not be read, so it is NaN.
+        # The memory behind the samples of the last octave (of the frequency) belongs to other data and must not be
+        # read, so it is NaN.
         rows[starts[2] :] = np.nan
     matrices = rng.normal(size=(taps, terms, w_basis_size)).astype(np.float32)
     weights = rng.normal(size=(taps, 3)).astype(np.float32)
@@ -208,14 +210,14 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
 def test_points_are_splines_through_the_rows(fingers, rng):
     """Look-ups of single directions must equal sums in float64 of table rows, weighted by splines.
 
-    The equality must also hold at the limits of octaves and at an azimuth of 0.
+    The equality must also hold at the limits of octaves (factors of 2) of |(u, v)|, and at an azimuth of 0.
     """
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # An octave is a set of rings over a factor of two in |(u, v)|. ``seams`` are the ring indices at which the last two
-    # octaves begin.
+    # An octave is a set of rings over a factor of two in |(u, v)|. ``seams`` are the indices of the rings (circles) at
+    # which the last two octaves begin.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -267,8 +269,8 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # Each ring of the spectrum has a spline. For a spectrum that is linear in ln λ, the mean weighted by the spline
-    # equals the value at the centre of the spline.
+    # Each ring (circle of constant frequency) of the spectrum has a spline. For a spectrum that is linear in ln λ, the
+    # mean weighted by the spline equals the value at the centre of the spline.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
     np.testing.assert_allclose(places @ weights * step / white, exact, atol=0.5 * step)
@@ -278,7 +280,8 @@ def test_basis_functions_of_w_reproduce_all_terms():
     """The basis functions of w, which all colours share, must reproduce each term of the power spectrum.
 
     A term is a function of κ = w/λ; w is the normal component of the scattering vector. At the wavelength of one ring
-    of the spectrum, a weighted sum of the basis functions must equal the term as a function of w.
+    (circle of constant frequency) of the spectrum, a weighted sum of the basis functions must equal the term as a
+    function of w.
     """
     kappas = (0.5, 5.0)
 
@@ -355,7 +358,7 @@ def test_tables_of_one_dimensional_surfaces_are_accurate(size, rng):
     heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
     heightfield = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
-    # The coherence window is small, because the size of a table is proportional to its square.
+    # The coherence window is small, because the size of a colour table is proportional to its square.
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)

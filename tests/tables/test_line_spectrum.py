@@ -36,8 +36,8 @@ def plan(fingers):
 def test_a_table_meets_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     assert plan.rings_per_octave > 0
-    # The predicted error of a plan is the measured error of its table times a safety factor. The predicted error may
-    # therefore exceed the tolerance although the table is accepted.
+    # The predicted error of a plan is the measured error of its colour table times a safety factor. The predicted error
+    # may therefore exceed the tolerance although the table is accepted.
     assert plan.error <= trial.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     result = wd.reflectance(fingers, lights, views, plan=plan)
@@ -48,7 +48,8 @@ def test_a_table_meets_its_tolerance(fingers, plan, rng):
     errors = relative_errors(result, exact)
     assert np.median(errors) < 5e-3
     assert np.percentile(errors, 95.0) <= 1e-1
-    # A tolerance of 0.1 requires only few rings. The median luminance must still be accurate to 0.3 %.
+    # A tolerance of 0.1 requires a table with only few rings (circles of constant |(u, v)|). The median luminance must
+    # still be accurate to 0.3 %.
     assert np.median(result[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
 
 
@@ -174,7 +175,7 @@ def test_directions_beyond_the_range_of_the_reference_do_not_count():
 
 
 def test_a_table_that_is_too_large_is_refused(rng):
-    """A call must be refused if no table fits into 300 MB, or if the largest table that fits has too large an error."""
+    """A call must be refused if no colour table of at most 300 MB exists, or if the largest one is too inaccurate."""
     large = wd.gratings.fingers(size_um=25.6, seed=1)
     lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
     for degrees, message in ((0.1, "12 rings per octave are too few"), (0.05, "requires more than 300 MB")):
@@ -186,8 +187,8 @@ def test_a_table_that_is_too_large_is_refused(rng):
 def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
     """Colours must be continuous at azimuths of 0° and 180°.
 
-    The azimuth samples of a table are periodic and begin at 0°, so that look-ups near 0° must also use the last
-    samples.
+    The azimuth samples (polar angles of (u, v)) of a table are periodic and begin at 0°, so that look-ups near 0° must
+    also use the last samples.
     """
     views = []
     for degrees in (-1e-3, 1e-3, 180.0 - 1e-3, 180.0 + 1e-3):

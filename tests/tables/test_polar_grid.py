@@ -43,8 +43,9 @@ def test_grids_of_baked_lobes_end_one_ring_beyond_a_radius_of_2():
 def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
     """The rows of all mip levels (blurred copies of a table) must be stored one after another without gaps.
 
-    All mip levels have the rings of level 0 and at most its number of azimuths. Before and after the rows of each
-    octave there are additional rows, which repeat the last and the first azimuths of the octave.
+    All mip levels have the rings (circles of constant |(u, v)|) of level 0, and at most its number of azimuth samples.
+    Before and after the rows of each octave of |(u, v)| there are additional rows, which repeat the last and the first
+    azimuth samples of the octave.
     """
     plan = wd.plan(wd.HeightField(np.zeros((8, 8)), 0.09), coherence=coherence, method="low-rank")
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)

@@ -29,7 +29,7 @@ COHERENCES = [
 
 @pytest.fixture
 def heightfield():
-    """Return a height field for which no table is cached."""
+    """Return a height field for which no colour table is cached."""
     return wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=7)
 
 

@@ -40,19 +40,19 @@ class CoefficientRows:
     """Chebyshev series in |κ| of the Fourier coefficients at sites (frequencies) and at the opposite frequencies.
 
     Attributes:
-        rows: Coefficients of the Chebyshev series, one row per frequency. Powers have one array of shape (2 p, k), for
-            p sites and k terms. Amplitudes have two arrays of this shape: the real and the imaginary parts. The first p
-            rows of an array belong to the p sites, and the other rows to the opposite frequencies.
+        rows: Coefficients of the Chebyshev series, one row per frequency. Powers |H|² have one array of shape (2 p, k),
+            for p sites and k terms. Amplitudes H have two arrays of this shape: the real and the imaginary parts. The
+            first p rows of an array belong to the p sites, and the other rows to the opposite frequencies.
     """
 
     def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:
-        """Set the size of the Chebyshev series; ``fill`` computes them.
+        """Set the size of the Chebyshev series of Fourier coefficients in |κ|; ``fill`` computes their terms.
 
         Args:
             count: Number of sites p. Each site has two series: that of its frequency and that of the opposite one.
             kappas: Smallest and largest |κ| = |w|/λ [1/µm].
             terms: Number k of terms of a series.
-            powers: Whether the series are those of powers; otherwise they are those of amplitudes.
+            powers: Whether the series are those of powers |H|²; otherwise they are those of amplitudes H.
             together: Number of sites that are computed at once; a smaller number requires less memory.
         """
         self._together = together
@@ -91,8 +91,8 @@ class CoefficientRows:
     def adjoint(self, amplitudes: Amplitudes, rows: Rows) -> Iterator[tuple[slice, Complex, Complex]]:
         """Yield the adjoints (derivatives of a loss) of the two results of ``amplitudes.at``, slice by slice.
 
-        ``rows`` has the adjoints of the series. Each item is a slice of the sites (frequencies), and the adjoints of
-        both results at these sites.
+        ``rows`` has the adjoints of the Chebyshev series in |κ| = |w|/λ. Each item is a slice of the sites
+        (frequencies), and the adjoints of the Fourier coefficients at these sites and at the opposite frequencies.
         """
         for part in self._parts():
             opposite = slice(part.start + self._count, part.stop + self._count)
@@ -104,7 +104,7 @@ class CoefficientRows:
                 yield part, np.asarray(values[0]), np.conj(values[1])
 
     def polynomials(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of all Chebyshev polynomials of the series at n values of |κ| [1/µm], shape (n, k)."""
+        """Return the values at n |κ| = |w|/λ [1/µm] of all Chebyshev polynomials of the series, shape (n, k)."""
         return _recurrence(self.places(kappas), self.terms, np.ones(len(kappas)), self.places(kappas))
 
     def slopes(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -131,7 +131,7 @@ class CoefficientRows:
             yield slice(first, min(first + self._together, self._count))
 
     def empty(self, *, zero: bool = False) -> Rows:
-        """Return new arrays of the shape of ``self.rows``, without defined values, or with zeros for ``zero``."""
+        """Return new arrays for Chebyshev series, of the shape of ``self.rows``: uninitialised, or 0 with ``zero``."""
         make = np.zeros if zero else np.empty
         return [make((2 * self._count, self.terms)) for _ in range(1 if self.powers else 2)]
 
@@ -143,9 +143,10 @@ class CoefficientRows:
 
 
 def sum_of(rows: Rows, place: slice) -> NDArray[np.float64] | Complex:
-    """Return the Chebyshev series with the indices ``place``, real for powers, or complex for amplitudes.
+    """Return the Chebyshev series of some Fourier coefficients: real for powers, complex for amplitudes.
 
-    ``rows`` has one array for powers. For amplitudes it has two: the real and the imaginary parts, which are combined.
+    ``rows`` has one array for powers |H|². For amplitudes H it has two: the real and the imaginary parts, which are
+    combined. ``place`` selects the coefficients, one per row of an array.
     """
     return rows[0][place] if len(rows) == 1 else rows[0][place] + 1j * rows[1][place]
 
@@ -167,7 +168,7 @@ def _recurrence(
 def add_rows(
     places: NDArray[np.int32], rows: NDArray[np.float64], rows_out: NDArray[np.float64], *, are_distinct: bool = False
 ) -> None:
-    """Add row i of ``rows`` to row ``places[i]`` of ``rows_out``, for every i.
+    """Add row i of ``rows`` (the series of one Fourier coefficient) to row ``places[i]`` of ``rows_out``, for every i.
 
     An index may occur several times in ``places``; all rows with this index are then added. ``are_distinct`` states
     that no index occurs twice, which permits a faster addition.

@@ -48,11 +48,11 @@ _GAUSS_POINTS = 4
 
 
 def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDArray[np.int64]:
-    """Return how many equally spaced nodes quintic interpolation requires to meet an error, for each of n functions.
+    """Return how many equally spaced samples (nodes) quintic interpolation of each of n functions requires.
 
     Args:
-        rates: Largest angular frequency of each function, shape (n,).
-        span: Length of the range of the nodes.
+        rates: Largest angular frequency of each function [radians per unit of its argument], shape (n,).
+        span: Length of the range of the argument that the nodes cover.
         truncation: Permitted relative error of the interpolation.
     """
     step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)

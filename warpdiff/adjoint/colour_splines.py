@@ -21,19 +21,20 @@ from warpdiff.tables.colour_curves import spline
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of intervals into which the distance of two neighbouring rings of the polar grid is divided. The weights of the
-# rings in a colour depend on the position of the longest wavelength between two rings. They are tabulated at the ends
-# of the intervals and interpolated linearly. The error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
+# Number of intervals into which the distance of two neighbouring rings of the polar grid is divided. A ring is a circle
+# of constant |(u, v)|/λ. The weights of the rings in a colour depend on the position of the longest wavelength between
+# two rings. They are tabulated at the ends of the intervals and interpolated linearly. The error is 1/(8 · 64²) = 3e-5
+# of the second difference of the weights.
 _INTERVALS = 64
-# Number of samples of the colour curves in each of the `_INTERVALS` parts of the distance of two rings of the polar
-# grid.
+# Number of samples of the colour curves (illuminant times colour-matching function) in each of the `_INTERVALS` parts
+# of the distance of two neighbouring rings of the polar grid. A ring is a circle of constant |(u, v)|/λ.
 _SAMPLES = 4
 # Width of the range of visible wavelengths in ln λ.
 _SPAN = math.log(colorimetry.LAMBDA_MAX_NM / colorimetry.LAMBDA_MIN_NM)
 
 
 def ring_count(rings_per_octave: int) -> int:
-    """Return the number of rings of a polar grid that a colour sums: those of the visible range, and four more."""
+    """Return the number of rings (circles of constant |(u, v)|/λ) that a colour sums: the visible ones, and four."""
     return math.ceil(_SPAN * rings_per_octave / math.log(2.0)) + 4
 
 
@@ -44,20 +45,21 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
 
     Args:
         illuminant: Illuminant. A colour curve is the product of illuminant and colour-matching function.
-        rings_per_octave: Number of rings per octave, which are the knots of the splines.
+        rings_per_octave: Number of rings (circles of constant |(u, v)|/λ) per factor of 2 in the frequency. Each ring
+            stands for a wavelength of a direction, and is a knot of the splines.
 
     Returns:
-        Weights of the values at consecutive rings of the polar grid in X, Y and Z, shape (intervals + 1, rings, 3). The
-        first axis is the position f of the rings relative to the longest visible wavelength, from 0 to 1: ring m is m +
-        f − 2 rings beyond this wavelength. The value at a ring is the integral over ln λ of the reflectance spectrum
-        times the spline of this ring.
+        Weights of the values at consecutive rings in X, Y and Z, shape (intervals + 1, rings, 3). The first axis is the
+        fractional position f of the rings, 0 to 1: ring m lies m + f − 2 ring spacings from the longest visible
+        wavelength, towards shorter wavelengths. The value at a ring is the integral over ln λ of the reflectance
+        spectrum times the spline of this ring.
     """
     step, count = math.log(2.0) / rings_per_octave, ring_count(rings_per_octave)
     per_ring = _INTERVALS * _SAMPLES
     positions = (np.arange((count + 4) * per_ring) + 0.5) / per_ring - 4.0
     wavelengths = colorimetry.LAMBDA_MAX_NM * np.exp(-positions * step)
     products = colorimetry.colour_products(illuminant)
-    # The colour curves are multiplied by λ, because dλ = λ d ln λ.
+    # The splines are functions of ln λ. The colour curves are multiplied by λ, because dλ = λ d ln λ.
     curves = wavelengths[:, None] * np.stack(
         [np.interp(wavelengths, VISIBLE_NM, column, left=0.0, right=0.0) for column in products.T], axis=1
     )
@@ -70,7 +72,8 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
         weights = spline((samples + 0.5) / per_ring - 1.5) / per_ring
         moments = np.einsum("s,msc->mc", weights, curves[first[:, None] + samples])
         result[interval] = np.linalg.solve(gram, moments)
-    # The weights are scaled so that a constant spectrum has exactly the colour of white.
+    # The weights of the rings (circles of constant |(u, v)|/λ) are scaled so that a constant spectrum has exactly the
+    # colour of white.
     result *= products.sum(axis=0) / (step * result.sum(axis=1, keepdims=True))
     result.setflags(write=False)
     return result

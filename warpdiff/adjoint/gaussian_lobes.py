@@ -40,8 +40,8 @@ _CELLS_OF_SLICE = 16_384
 # Largest distance of the centre of a lobe (Gaussian weight) from the middle of its cell (the place of one order), along
 # an axis [cells]: one half, and a margin for rounding errors.
 _HALF_CELL = 0.5 + 1e-9
-# Index of the column, in the result of `derivatives`, with the derivative of a sum with respect to the argument of the
-# Chebyshev polynomials. The method `GaussianLobes.derivatives` converts it to the derivative with respect to |κ|.
+# Index of the column, in the result of `derivatives`, with the derivative of a weighted sum of Fourier coefficients by
+# the argument of the Chebyshev polynomials. `GaussianLobes.derivatives` converts it to that by |κ| = |w|/λ.
 X = 5
 
 
@@ -68,7 +68,7 @@ class Pairs:
         return len(self.kappas)
 
     def reaches(self, exponent: float) -> NDArray[np.float64]:
-        """Return the distances (x, y) from each centre within which weights exceed e^−exponent [1/µm], shape (p, 2)."""
+        """Return how far the Gaussian weights of each pair exceed e^−exponent along x and y [1/µm], shape (p, 2)."""
         xx, xy, yy = self.forms.T
         scale = exponent / (xx * yy - xy * xy)
         return np.asarray(np.sqrt(np.stack([scale * yy, scale * xx], axis=1)))
@@ -100,11 +100,11 @@ class GaussianLobes:
         """Set the Fourier coefficients and the orders of the sums.
 
         Args:
-            rows: Chebyshev series of the Fourier coefficients.
-            block: Rectangle of orders that have coefficients.
+            rows: Chebyshev series of the Fourier coefficients in |κ| = |w|/λ.
+            block: Rectangle of orders whose Fourier coefficients are summed.
             places: Index of the series of each order of the block.
             size_um: Size of the patch (y, x) [µm].
-            exponent: Coefficients with weights below e^−exponent are neglected.
+            exponent: Coefficients with Gaussian weights below e^−exponent are neglected.
         """
         self._rows, self._block, self._size_um, self._exponent = rows, block, size_um, exponent
         self._where = {"device": resolve_device(None), "threads": resolve_threads(None)}
@@ -148,10 +148,10 @@ class GaussianLobes:
         return result
 
     def spread(self, pairs: Pairs, adjoints: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of a block's coefficients to ``rows``, shape (size, k): the transpose of ``sums``.
+        """Add the adjoints of a block's Fourier coefficients to ``rows``, shape (size, k): the transpose of ``sums``.
 
-        ``adjoints`` has the derivatives of a loss with respect to the sums of the p pairs, shape (p,). ``rows`` has a
-        row of k terms for each order of the block.
+        ``adjoints`` has the derivatives of a loss with respect to the weighted sums of the p pairs (a direction and a
+        wavelength), shape (p,). ``rows`` has a row of k series terms for each order of the block.
         """
         cells, reach = [], []
         for axis, first, count, length in zip((1, 0), self._block.first, self._block.shape, self._size_um, strict=True):

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     Complex = NDArray[np.complex128]
 
 # Smallest value of half of the height range [µm]. A flat surface counts as having this value, so that heights can be
-# divided by it. The value changes no result, because the series has the same sum for any scale that is large enough.
+# divided by it. The value changes no result, because the series of exp(2πiκh) has the same sum for any scale that is
+# large enough.
 _LEAST_SCALE_UM = 1e-6
 
 
@@ -44,7 +45,7 @@ def offset_and_scale(heights_um: NDArray[np.float64]) -> tuple[float, float]:
 
 
 class HeightTerms:
-    """Fourier coefficients of heights: transforms X_n at the sites (frequencies), and factors b_n at nodes of |κ|.
+    """Fourier coefficients of exp(2πiκh), as transforms X_n at the sites (frequencies) and factors b_n at nodes of |κ|.
 
     A coefficient is the sum of b_n iⁿ X_n over n. The nodes are the values of |κ| = |w|/λ at which it is computed.
 
@@ -65,8 +66,8 @@ class HeightTerms:
         self._g, self._sites = (heights_um - offset) / self._scale, sites
         basis = 2.0 * bessel_j(-2.0 * math.pi * self._scale * kappas, count)
         basis[:, 0] /= 2.0
-        # The terms of the series have the factor iⁿ: ±1 for even n and ±i for odd n. The sign is included in the
-        # factors b_n here. The factor i of odd terms is included when the terms are summed.
+        # The terms of the series of a Fourier coefficient have the factor iⁿ: ±1 for even n and ±i for odd n. The sign
+        # is included in the factors b_n here. The factor i of odd terms is included when the terms are summed.
         signs = np.where(np.arange(count) // 2 % 2 == 0, 1.0, -1.0)
         self._even, self._odd = (np.ascontiguousarray((signs * basis)[:, first::2]) for first in (0, 1))
         self.terms = np.empty((count, sites.count), dtype=np.complex128)
@@ -116,7 +117,7 @@ class HeightTangent:
         self._origin, self._terms = origin, terms
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``HeightTerms.at``, to first order."""
+        """Return the changes, to first order, of the Fourier coefficients that ``HeightTerms.at`` returns."""
         return self._origin._sums(self._terms, part)
 
 
@@ -142,7 +143,7 @@ def _slopes(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
 def _sequence(
     g: NDArray[np.float64], now: NDArray[np.float64], after: NDArray[np.float64]
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the terms of the recurrence y_{n+1} = 2 g y_n − y_{n−1}; each array is overwritten two steps later."""
+    """Yield the terms of the recurrence y_{n+1} = 2 g y_n − y_{n−1}; each array is overwritten two terms later."""
     twice, buffer = 2.0 * g, np.empty_like(g)
     while True:
         yield now

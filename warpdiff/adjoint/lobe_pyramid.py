@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_series import CoefficientSeries
 
-# Smallest standard deviation of a lobe (Gaussian weight) that a level of the pyramid may compute, in distances between
-# neighbouring nodes of the level. With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because
-# the variance of its position differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the
-# sum.
+# Smallest standard deviation of a lobe (Gaussian weight of Fourier coefficients) for which a level of the pyramid is
+# used. The unit is the distance between neighbouring nodes of the level, which are sums of several coefficients. With
+# 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because the variance of its position differs
+# by up to 1/6 from the mean variance. Errors of single coefficients cancel in the sum.
 _LEAST_DEVIATION = 2.0
 # Highest level of the pyramid, in which a node of level n is the sum of 2ⁿ × 2ⁿ orders. A lobe (Gaussian weight) at
 # this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it covers all orders of a large block.
@@ -40,7 +40,7 @@ class LobePyramid:
     """Sums of powers |H|² of Fourier coefficients with Gaussian weights of any width, and their transpose."""
 
     def __init__(self, series: CoefficientSeries, size_um: tuple[float, float], exponent: float) -> None:
-        """Set the diffraction orders, and the levels of the pyramid of their sums.
+        """Set the diffraction orders, and the levels of a pyramid of sums over 2ⁿ × 2ⁿ neighbouring orders.
 
         Args:
             series: Chebyshev series in κ of the powers |H|² of Fourier coefficients, and the rectangle (block) of the
@@ -63,16 +63,16 @@ class LobePyramid:
             )
 
     def _shape(self, level: int) -> tuple[int, int]:
-        """Return the number of nodes (sums of neighbouring coefficients) of a level along (y, x)."""
+        """Return the number of nodes (sums of 2ⁿ × 2ⁿ neighbouring coefficients) of the level n along (y, x)."""
         rows, columns = self._block.shape
         for _ in range(level):
             rows, columns = (rows // 2 + 1 if rows > 1 else 1), (columns // 2 + 1 if columns > 1 else 1)
         return rows, columns
 
     def sums_of(self, coefficients: NDArray[np.float64]) -> Callable[[Pairs], NDArray[np.float64]]:
-        """Return a function that computes the weighted sums of powers for p pairs (direction, wavelength), (p,).
+        """Return a function that sums |H|² with Gaussian weights for p pairs (direction, wavelength), shape (p,).
 
-        ``coefficients`` has the Chebyshev series of the powers of the Fourier coefficients.
+        ``coefficients`` has the Chebyshev series of the powers |H|² of Fourier coefficients.
         """
 
         @functools.cache
@@ -95,9 +95,10 @@ class LobePyramid:
         return sums
 
     def spread(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints (derivatives of a loss) of the powers to ``rows``, (size, k), a row per order of the block.
+        """Add the adjoints (derivatives of a loss) of the powers |H|² to ``rows``, one row of k terms per order.
 
-        ``parts`` has groups of pairs (a direction and a wavelength), each with the adjoints of its sums.
+        ``parts`` has groups of pairs (a direction and a wavelength), each with the adjoints of its weighted sums.
+        ``rows`` has the shape (size, k), with a row for each order of the block.
         """
         nodes = [rows]
         for pairs, adjoints in parts:
@@ -113,8 +114,8 @@ class LobePyramid:
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
         """Group the pairs of a direction and a wavelength by the level of the pyramid that computes their sums.
 
-        Each item is the level, the indices of its pairs, these pairs for the nodes of the level, and factors by which
-        their sums are multiplied.
+        Level n has sums of 2ⁿ × 2ⁿ orders (nodes). Each item is the level, the indices of its pairs, these pairs for
+        the nodes of the level, and factors by which their sums are multiplied.
         """
         xx, xy, yy = pairs.forms.T
         scale = 0.5 / (xx * yy - xy * xy)
@@ -122,7 +123,8 @@ class LobePyramid:
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
         # Long lobes (Gaussian weights) are processed separately from short lobes. The transposed sum searches for pairs
-        # around each node up to the length of the longest lobe, which would take too long for short lobes.
+        # (a direction and a wavelength) around each node up to the length of the longest lobe, which would take too
+        # long for short lobes.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))
@@ -145,9 +147,9 @@ class LobePyramid:
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
         """Return pairs (direction, wavelength) that sum the nodes of a level, and factors of these sums.
 
-        The nodes are sums of neighbouring orders. The centres of the new pairs are relative to the first order of the
-        block. Their lobes have a smaller variance, because the nodes already spread each coefficient. The factors
-        correct the sums for it.
+        The nodes of level n are sums of 2ⁿ × 2ⁿ neighbouring orders. The centres of the new pairs are relative to the
+        first order of the block. Their lobes have a smaller variance, because the nodes already spread each
+        coefficient. The factors correct the sums for it.
         """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
@@ -162,7 +164,7 @@ class LobePyramid:
         return Pairs(centres, forms, pairs.kappas), np.sqrt(wide / determinants)
 
     def _joined(self, fine: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nodes (sums of several orders) of the next level, (rows, columns, k), from those of a level."""
+        """Return the next level's nodes (sums of several orders), shape (rows, columns, k), from those of a level."""
         for axis in (0, 1):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(fine, axis, 0)
@@ -175,7 +177,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the values of a level's nodes (sums of orders) to the finer level: the transpose of ``_joined``."""
+        """Add values of nodes (sums of orders) to the nodes of the finer level: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.profiles.outline import Outline
 
-# Truncation error of the series from which order efficiencies are computed. It equals the rounding errors of float64.
+# Truncation error of the series of Fourier coefficients from which order efficiencies are computed. It equals the
+# rounding errors of float64.
 _TRUNCATION = 1e-13
 # Cosine of the angle θ of an order from the normal below which the order counts as being at the horizon; it is then
 # within 0.06° of the horizon, and the user is warned. Efficiencies are proportional to 1/cos θ there, and their
@@ -53,8 +54,8 @@ _AT_HORIZON = 1e-3
 _MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
 # Names of the variables of derivatives that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
-# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. A matrix has one row per
-# direction to the light and one column per order.
+# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. Each wavelength has a
+# matrix with one row per direction to the light and one column per order.
 _BYTES_PER_SAMPLE, _BYTES_PER_ELEMENT = 120.0, 250.0
 
 

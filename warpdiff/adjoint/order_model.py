@@ -35,7 +35,7 @@ GEOMETRY = ("light_x", "light_y", "length_x", "length_y", "wavelength_um", "heig
 
 
 class OrderModel:
-    """Orders of one light at one wavelength; their efficiencies are one row of a matrix.
+    """Diffraction orders of one light at one wavelength; their efficiencies are one row of a matrix.
 
     The matrix has a row per direction to the light and a column per order. Without energy normalisation, it has only
     the row of this light.
@@ -55,7 +55,7 @@ class OrderModel:
 
         Args:
             light: Unit vector to the light, shape (3,).
-            orders: Pairs (m_y, m_x) of the orders that propagate, shape (n, 2).
+            orders: Numbers (m_y, m_x) of the diffraction orders that propagate, shape (n, 2).
             wavelength_nm: Wavelength [nm].
             size_um: Size (y, x) of one period [µm].
             is_constant: Whether the surface is constant along (y, x).
@@ -87,7 +87,10 @@ class OrderModel:
         self, light: NDArray[np.float64], orders: NDArray[np.int64], shifts: NDArray[np.int64],
         size_um: tuple[float, float],
     ) -> None:  # fmt: skip
-        """Compute geometry factors, |κ| and prescribed sums of rows and columns, with derivatives by ``GEOMETRY``."""
+        """Compute geometry factors, |κ| and the sums of the efficiency matrix, with derivatives by ``GEOMETRY``.
+
+        The sums are those that the rows (lights) and columns (orders) must have to conserve energy.
+        """
         values = (light[0], light[1], size_um[1], size_um[0], 1e-3 * self._wavelength_nm, 1.0)
         x, y, length_x, length_y, wavelength, scale = Jet.variables(*(np.full((1, 1), value) for value in values))
         per_x, per_y = wavelength / length_x, wavelength / length_y
@@ -141,7 +144,7 @@ class OrderModel:
         return np.asarray(result * self._weights * self._factor.value).ravel()
 
     def power_tangent(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies for changes of all elements |H|² of the matrix, (rows · columns,)."""
+        """Return the changes of the efficiencies for changes of |H|² of all matrix elements, (rows · columns,)."""
         of_matrix = self._factor.value * changes.reshape(self._shares.shape)
         zero = np.zeros((1, *self._rows.value.shape)), np.zeros((1, *self._columns.value.shape))
         return np.asarray(self._mirror_changes(of_matrix[None], *zero)[0] * self._reflected.value)
@@ -168,12 +171,12 @@ class OrderModel:
     def _mirror_changes(
         self, of_matrix: NDArray[np.float64], of_rows: NDArray[np.float64], of_columns: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies of a perfect mirror (R = 1), shape (p, n), for p matrix changes.
+        """Return the changes of the n efficiencies of a perfect mirror (R = 1), shape (p, n), for p changes.
 
         Args:
-            of_matrix: Changes of the elements K |H|², shape (p, rows, columns).
-            of_rows: Changes of the prescribed sums of rows, shape (p, rows, 1).
-            of_columns: Changes of the prescribed sums of columns, shape (p, 1, columns).
+            of_matrix: Changes of the elements K |H|² of the efficiency matrix, shape (p, rows, columns).
+            of_rows: Changes of the prescribed sums of rows (lights), shape (p, rows, 1).
+            of_columns: Changes of the prescribed sums of columns (orders), shape (p, 1, columns).
         """
         direct = self._weights * of_matrix
         if not self._normalised:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class OutlineTerms:
-    """Fourier coefficients of an outline at the orders of ``sites``, and at nodes (selected values) of |κ|."""
+    """Fourier coefficients of an outline (polygon) at the orders of ``sites``, for selected values (nodes) of |κ|."""
 
     def __init__(self, outline: Outline, sites: Sites, kappas: NDArray[np.float64]) -> None:
         self._positions = np.append(outline.positions, outline.positions[0] + 1.0)
@@ -84,12 +84,12 @@ class OutlineTerms:
         return np.asarray(result.sum(axis=2))
 
     def changes(self, part: slice, change: NDArray[np.float64]) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``at``, to first order, for a change of the vertices."""
+        """Return the first-order changes of the Fourier coefficients that ``at`` returns, for a change of vertices."""
         plus, minus = (self.change(sign * self._orders[part], change) for sign in (1.0, -1.0))
         return plus, np.conj(minus)
 
     def _segments(self, orders: NDArray[np.float64]) -> tuple[Complex, Complex, Complex, Complex]:
-        """Return the integrals of exp(iφ) over the s segments, and their derivatives, for p orders and k values of κ.
+        """Return the integrals of exp(iφ) over the s segments of the outline, with derivatives, for p orders and k κ.
 
         φ is the phase. The derivatives are with respect to the phase at the first end of a segment, the phase at its
         second end, and its width. All four arrays have the shape (k, p, s).
@@ -112,5 +112,5 @@ class OutlineTangent:
         self._origin, self._change = origin, change
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``OutlineTerms.at``, to first order."""
+        """Return the changes, to first order, of the Fourier coefficients that ``OutlineTerms.at`` returns."""
         return self._origin.changes(part, self._change)

@@ -94,7 +94,10 @@ class PeriodSums:
         return result
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of the power |P|² for one change of the heights [µm]."""
+        """Return a function that computes the changes of |P|² of pairs (direction, wavelength).
+
+        ``change`` is the change of the heights [µm].
+        """
 
         @single_threaded_blas()
         def changes(pairs: Pairs) -> NDArray[np.float64]:
@@ -110,9 +113,9 @@ class PeriodSums:
         return changes
 
     def _field(self, pairs: Pairs, k: int) -> tuple[Complex, Complex, Complex]:
-        """Return exp(2πiκh) of all samples with heights h, and the factors exp(2πi q·x) along y and x, for pair k."""
+        """Return exp(2πiκh) for all heights h, and factors exp(2πi q·x) along y and x, for one frequency q."""
         qx, qy = pairs.centres[k]
-        # κ = w/λ is negative, and `pairs.kappas` has its magnitude.
+        # κ = w/λ is negative, and `pairs.kappas` has its magnitude for each direction and wavelength.
         phases = -2.0 * math.pi * pairs.kappas[k] * self._heights
         return np.exp(1j * phases), np.exp(2j * math.pi * qy * self._y), np.exp(2j * math.pi * qx * self._x)
 

@@ -51,7 +51,7 @@ class _PictureCall:
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each requested variable by its name."""
+        """Shape of each variable with respect to which derivatives are requested, by its name."""
         return {name: self._relief.variable_shape if name in SURFACE else () for name in self._names}
 
     def value(self) -> NDArray[np.float64]:
@@ -102,7 +102,7 @@ class _PictureCall:
         return heights
 
     def _by_ior(self) -> list[NDArray[np.float64]]:
-        """Return the derivatives of XYZ with respect to the index of refraction, one array (n, 3) per group."""
+        """Return derivatives of XYZ by the index of refraction, (n, 3) per group of one illuminant and material."""
         assert self._model is not None  # noqa: S101 (callers have checked it)
         result = []
         for group, xyz in zip(self._groups, self._model.values, strict=True):
@@ -145,9 +145,9 @@ def pixels(
     The first axis of the value counts the illuminated pixels row by row: ``picture[image.illuminated] = value`` writes
     the values into a picture, with ``image = renderer.image()`` under the same lights.
 
-    Without footprints and under an averaged window, the colours are sums over rings of a polar grid, which becomes
-    finer until the colours of some pixels agree with sums over wavelengths. All other pictures are sums over
-    wavelengths, which require more time.
+    Without footprints and under an averaged window, the colours are sums over rings of a polar grid of frequencies. A
+    ring is a circle of constant |(u, v)|/λ. The grid becomes finer until the colours of some pixels agree with sums
+    over wavelengths. All other pictures are sums over wavelengths, which require more time.
 
     Args:
         renderer: Renderer of the mesh, made with ``refine=False``. Its view, coherence, material and other options

@@ -35,13 +35,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
-# Sizes of polar grids, from coarse to fine: number of rings per octave of the frequency, and number of azimuth samples
-# per standard deviation of a diffraction order. The first grid whose error is within the tolerance is used.
+# Sizes of polar grids, from coarse to fine: number of rings (circles of constant frequency) per octave, and number of
+# azimuth samples per standard deviation of the peak of a diffraction order. The first grid whose error is within the
+# tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
 # The error of a polar grid is measured on `_CHECKED` bright samples and the same number of random samples of each group
 # (one illuminant and material). For at least the fraction `_SHARE` of these samples, it must be within the tolerance.
 _CHECKED, _SHARE = 64, 0.95
-# Permitted error by the truncation of series and sums, divided by the tolerance of the colours.
+# Permitted error of colours by truncated series of Fourier coefficients and truncated sums over them, divided by the
+# tolerance of the colours.
 _TRUNCATION_SHARE = 1e-2
 # Memory of a call [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and
 # per reflectance of a material, which is stored for each direction at each ring (wavelength).
@@ -53,13 +55,14 @@ class Colours(Protocol):
     """Colours of the samples of a picture, as a linear function of the powers of Fourier coefficients."""
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the samples of each group, shape (n, 3), from the Chebyshev series of the powers |H|²."""
+        """Return XYZ of each group of samples (one illuminant and material), (n, 3), from the series of |H|²."""
         ...
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the powers (derivatives of a loss) to ``rows``, shape (orders, k), for series of k terms.
+        """Add the adjoints of |H|² (derivatives of a loss) to ``rows``, shape (orders, k), for series of k terms.
 
-        ``adjoints`` has those of XYZ of each group of samples. The function is the transpose of ``sums``.
+        ``adjoints`` has those of XYZ of each group of samples (one illuminant and material). The function is the
+        transpose of ``sums``.
         """
         ...
 
@@ -94,30 +97,36 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint (derivative of a loss) of the heights from those of XYZ of the samples of each group."""
+        """Return the adjoint (derivative of a loss) of the heights from those of XYZ of each group of samples.
+
+        A group has one illuminant and material.
+        """
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
 
     def tangent(self, change: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the change of XYZ of the samples of each group, shape (n, 3), for a change of the heights [µm]."""
+        """Return the change of XYZ of each group of samples, shape (n, 3), for a change of the heights [µm].
+
+        A group has one illuminant and material.
+        """
         return self._colours.sums(self._series.tangent(change))
 
     def _size_of_rings(self, sizes: RingSizes) -> SeriesSize | None:
-        """Return the numbers of series terms for a polar grid; None if the kernels have no memory for so many terms."""
+        """Return the numbers of series terms for a polar grid; None if kernels have no memory for so many terms."""
         margin = kappa_margin(sizes)
         low, high = self._kappas()
         kappas = low / margin, high * margin
-        # A series has more terms than its argument, so that a larger argument exceeds the limit of the kernels. This is
-        # tested first, because `SeriesSize.of` raises an error for very large arguments. Sums over wavelengths have a
-        # smaller range of κ and may still be possible.
+        # The series of a Fourier coefficient has more terms than its argument, the phase below; a larger argument
+        # exceeds the limit of the kernels. This is tested first, because `SeriesSize.of` raises an error for very large
+        # arguments. Sums over wavelengths have a smaller range of κ and may still be possible.
         if 2.0 * math.pi * (kappas[1] - kappas[0]) * self._relief.scale_um > MOST_TERMS:
             return None
         size = SeriesSize.of(self._relief, kappas, self._truncation, powers=True)
         return size if size.count <= MOST_TERMS else None
 
     def _by_rings(self, sizes: RingSizes, size: SeriesSize) -> Colours:
-        """Compute the Fourier coefficients for a polar grid, and return the object that sums them to colours."""
+        """Compute the Fourier coefficients for a polar grid of frequencies; return the object that sums them."""
         relief, falloff = self._relief, 4.0 * (math.pi * (self._coherence.sigma_um or 1.0)) ** 2
         grid = RingGrid(self._groups, sizes, falloff)
         block = grid.block(self._exponent, relief.shape, relief.size_um)
@@ -135,7 +144,7 @@ class PictureModel:
         return _WithZeroth(rings, self._sums_over_wavelengths(chosen), central, near, zeroth)
 
     def _by_wavelengths(self) -> Colours:
-        """Compute the Fourier coefficients for all wavelengths, and return the object that sums them to colours."""
+        """Compute the Fourier coefficients for sums over wavelengths; return the object that sums them to colours."""
         sums = self._sums_over_wavelengths(self._groups)
         block = None
         for _, _, pairs, _, _ in sums.parts():
@@ -155,12 +164,13 @@ class PictureModel:
         return LOW * float(ws.min()), HIGH * float(ws.max())
 
     def _begin(self, block: Block, size: SeriesSize, ring_values: int, reflectances: int) -> None:
-        """Compute the Fourier coefficients of a block; raise ``MemoryError`` first if they do not fit into memory.
+        """Compute the Fourier coefficients of a block of orders; raise ``MemoryError`` first if memory is too small.
 
         Args:
-            block: Rectangle of orders that have coefficients.
-            size: Range of |κ| and numbers of terms of the series.
-            ring_values: Number of samples of the power spectrum on the rings of a polar grid; 0 without a grid.
+            block: Rectangle of orders whose Fourier coefficients are computed.
+            size: Range of |κ| = |w|/λ, and numbers of terms of the series of the coefficients.
+            ring_values: Number of samples of the power spectrum on the rings (circles of constant frequency) of a polar
+                grid; 0 without a grid.
             reflectances: Number of stored reflectances, one per direction and ring if the surface has a material.
         """
         ny, nx = self._relief.shape
@@ -194,7 +204,7 @@ class PictureModel:
 
 
 class _OnLobes:
-    """Colours as sums over wavelengths of the Fourier coefficients of one block."""
+    """Colours as sums over wavelengths of the Fourier coefficients of one block (rectangle) of orders."""
 
     def __init__(self, sums: WavelengthSums, lobes: LobePyramid) -> None:
         self._sums, self._lobes = sums, lobes
@@ -207,7 +217,10 @@ class _OnLobes:
 
 
 class _WithZeroth:
-    """Colours as sums over rings of a polar grid, plus the zeroth order at the samples near the mirror direction."""
+    """Colours as sums over rings of a polar grid (circles of constant frequency), plus the zeroth order near mirrors.
+
+    The zeroth order is added only at samples near the mirror direction.
+    """
 
     def __init__(
         self, rings: PolarGridSums, sums: WavelengthSums, lobes: GaussianLobes, near: list[NDArray[np.int64]],
@@ -230,7 +243,7 @@ class _WithZeroth:
 
 
 def _cell_of_zeroth(block: Block) -> int:
-    """Return the index of the order (0, 0) in a block of orders; −1 if the block does not contain it."""
+    """Return the index of the zeroth diffraction order in a block of orders; −1 if the block does not contain it."""
     row, column = -block.first[0], -block.first[1]
     inside = 0 <= row < block.shape[0] and 0 <= column < block.shape[1]
     return row * block.shape[1] + column if inside else -1

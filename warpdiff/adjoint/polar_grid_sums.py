@@ -34,27 +34,29 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.render.picture_samples import LitPixels
 
-# Distance of the samples of the power spectrum along the radius, in standard deviations of its lobes. Each lobe is the
-# Gaussian peak of one coefficient. At this distance, a sum of equal Gaussians varies by only 2 exp(−2π²/1.5²) = 3e-4.
+# Distance of the samples of the power spectrum along a radius of the frequency plane, in standard deviations of its
+# lobes. Each lobe is the Gaussian peak of one Fourier coefficient. At this distance, a sum of equal Gaussians varies by
+# only 2 exp(−2π²/1.5²) = 3e-4.
 _SAMPLE_SPACING_SIGMAS = 1.5
 # Radius around the origin of the frequency plane within which the power spectrum counts as constant, in standard
 # deviations of its lobes (Gaussian peaks). A Gaussian changes by at most 0.02²/2 = 2e-4 within this radius of its
 # centre.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Smallest number of azimuth samples of a ring. With this number, the four samples between which a value is interpolated
-# are different.
+# Smallest number of azimuth samples of a ring (circle of constant frequency). With this number, the four samples
+# between which a value is interpolated are different.
 _FEWEST_AZIMUTHS = 16
-# The power spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of
-# them. At this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
+# The power spectrum is sampled at the azimuths (polar angles) of the directions' (u, v), and at this number of further
+# azimuths on both sides of them. At this distance, a value changes the coefficient of a cubic spline by only 0.27^16 =
+# 8e-10 of itself.
 _NEIGHBOURS = 16
-# Number of cosines of angles at which the reflectance of a material is tabulated, for each whole nanometre. For metals,
-# the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of colours in `PictureModel`
-# rejects the grid.
+# Number of cosines of the angle of incidence at which the reflectance of a material is tabulated, for each whole
+# nanometre. For metals, the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of
+# colours in `PictureModel` rejects the grid.
 _ANGLES = 513
 # Longest and shortest visible wavelength [µm].
 _RED_UM, _BLUE_UM = 1e-3 * colorimetry.LAMBDA_MAX_NM, 1e-3 * colorimetry.LAMBDA_MIN_NM
-# Numbers of azimuths, of cells (orders) and of directions that a thread processes together. Some of them require much
-# more time than others. Larger numbers would therefore distribute the work unevenly over threads.
+# Numbers of azimuth samples of the polar grid, of cells (orders) and of directions that a thread processes together.
+# Some of them require much more time than others. Larger numbers would therefore distribute the work unevenly.
 _AZIMUTHS_OF_SLICE, _CELLS_OF_SLICE, _PIXELS_OF_SLICE = 64, 1024, 512
 
 
@@ -63,7 +65,7 @@ class RingSizes:
     """Size of a polar grid of spatial frequencies.
 
     Attributes:
-        rings_per_octave: Number of rings per octave (factor of 2) of the radius.
+        rings_per_octave: Number of rings (circles of constant frequency) per octave (factor of 2) of the frequency.
         azimuths_per_sigma: Number of azimuth samples per standard deviation of the lobes (Gaussian peaks) of the power
             spectrum.
     """
@@ -73,12 +75,15 @@ class RingSizes:
 
     @property
     def step(self) -> float:
-        """Difference of the logarithm of the frequency between neighbouring rings."""
+        """Difference of the natural logarithm of the frequency between neighbouring rings (circles of the grid)."""
         return math.log(2.0) / self.rings_per_octave
 
 
 def kappa_margin(sizes: RingSizes) -> float:
-    """Return the factor by which the range of κ must be widened at both ends, for rings beyond visible wavelengths."""
+    """Return the factor by which the range of κ = w/λ is widened at both ends.
+
+    The reason is that rings (circles of constant frequency) extend beyond the visible wavelengths.
+    """
     return math.exp(4.0 * sizes.step)
 
 
@@ -86,25 +91,25 @@ class RingGrid:
     """Rings and azimuths at which the power spectrum of a surface is sampled for some directions.
 
     Attributes:
-        sizes: Size of the grid.
-        log_first: Logarithm of the frequency of the innermost ring [1/µm].
-        azimuths: Number of azimuth samples of a ring, for each block of rings.
+        sizes: Size of the polar grid: rings (circles of constant frequency) and azimuth samples.
+        log_first: Natural logarithm of the frequency of the innermost ring [1/µm].
+        azimuths: Number of azimuth samples of a ring, for each block (group of consecutive rings).
         rows: Number of samples of the power spectrum on all rings together.
     """
 
     def __init__(self, groups: list[LitPixels], sizes: RingSizes, falloff: float) -> None:
-        """Choose the rings and azimuths for the directions of some groups.
+        """Choose the rings (circles) and azimuth samples of the polar grid for the directions of some groups.
 
         Args:
             groups: Groups of directions by illuminant and material.
             sizes: Size of the grid.
-            falloff: Factor a [µm²] of the weights exp(−a d²) of coefficients at the distance d [1/µm].
+            falloff: Factor a [µm²] of the weights exp(−a d²) of Fourier coefficients at the distance d [1/µm].
         """
         self.sizes, self._falloff, self._sigma = sizes, falloff, 1.0 / math.sqrt(2.0 * falloff)
         step = sizes.step
         radii = [self.radii_of(group) for group in groups]
-        # The rings that contribute to a colour extend from two rings before its longest wavelength to two rings beyond
-        # its shortest wavelength.
+        # A colour is a sum over rings (circles of constant |(u, v)|/λ). For one direction they extend from two rings
+        # inside that of the longest visible wavelength to two rings outside that of the shortest.
         low = min(float(part.min()) for part in radii) / _RED_UM * math.exp(-3.0 * step)
         high = max(float(part.max()) for part in radii) / _BLUE_UM * math.exp(4.0 * step)
         self._blocks: int = math.ceil(math.log(high / low) / (BLOCK_RINGS * step))
@@ -122,17 +127,18 @@ class RingGrid:
     def radii_of(self, group: LitPixels) -> NDArray[np.float64]:
         """Return |(u, v)| of the n directions of a group, shape (n,).
 
-        Near the mirror direction, |(u, v)| is replaced by a lower limit, because a ring cannot have the radius 0.
+        Near the mirror direction, |(u, v)| is replaced by a lower limit, because a ring of the grid (circle of constant
+        |(u, v)|/λ) cannot have the radius 0.
         """
         least = _FLAT_WITHIN_SIGMAS * self._sigma * _BLUE_UM
         return np.asarray(np.maximum(np.hypot(*group.scattering_vectors[:, :2].T), least))
 
     def places(self, radii: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the ring index (a fraction) of the wavelength 780 nm for directions with |(u, v)| = ``radii``."""
+        """Return the fractional index of the ring |(u, v)|/λ at λ = 780 nm, for directions with given |(u, v)|."""
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
-        """Mark the azimuth samples that the directions of a group use, and the neighbours that the splines require."""
+        """Mark the azimuth samples that the directions of a group use, and neighbours for spline interpolation."""
         first = np.ceil(places).astype(np.int64) - 2
         turns, count = turns_of(group), ring_count(self.sizes.rings_per_octave)
         for block, azimuths in enumerate(self.azimuths.tolist()):
@@ -143,12 +149,12 @@ class RingGrid:
 
     @property
     def directions(self) -> int:
-        """Number of azimuth samples, added over all blocks of rings."""
+        """Number of azimuth samples, added over all blocks (groups of rings with equally many azimuth samples)."""
         return int(self.azimuths.sum())
 
     @property
     def groups(self) -> int:
-        """Number of groups of consecutive rings; one thread sums the adjoints of the rings of one group."""
+        """Number of groups of consecutive rings of the polar grid; one thread sums the adjoints of one group."""
         return int(self._blocks * BLOCK_RINGS // TOGETHER)
 
     def _radii(self, block: int) -> NDArray[np.float64]:
@@ -161,7 +167,7 @@ class RingGrid:
         return np.asarray(2.0 * math.pi * np.arange(self.azimuths[block]) / self.azimuths[block])
 
     def block(self, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-        """Return the smallest rectangle of orders with all Fourier coefficients that the samples on the grid require.
+        """Return the smallest rectangle of orders with all Fourier coefficients that samples on the grid require.
 
         Weights below e^−exponent are neglected. Along an axis with a single height sample, the only order is 0.
         """
@@ -213,7 +219,7 @@ class PolarGridSums:
 
         Args:
             grid: Polar grid that was chosen for these directions.
-            lobes: Block of orders, and the series of their coefficients.
+            lobes: Block of orders, and the Chebyshev series of their Fourier coefficients.
             groups: Groups of directions by illuminant and material.
             excluded: Index, in the block of orders, of a coefficient that is omitted from the sums, or −1.
         """
@@ -240,8 +246,9 @@ class PolarGridSums:
             reflectances = self._reflectances(group.among(order), curves.shape[1])
             pixels.reflectances = wp.array(reflectances, dtype=wp.float64, device="cpu")
         pixels.least_kappa, pixels.places_per_kappa = low, 2.0 / (high - low)
-        # A direction uses consecutive rings, and the directions are sorted by their first rings. The directions that
-        # use any ring of a group of rings are therefore consecutive; `begins` and `ends` are their limits.
+        # The colour of a direction is a sum over consecutive rings (circles of the grid), and the directions are sorted
+        # by their first rings. The directions that use any ring of a group of rings are therefore consecutive; `begins`
+        # and `ends` are their limits.
         first = np.ceil(places[order]).astype(np.int64) - 2
         groups = TOGETHER * np.arange(self._rings.groups)
         begins = np.searchsorted(first, groups - curves.shape[1] + 1)
@@ -251,7 +258,7 @@ class PolarGridSums:
         return _Placed(pixels, order)
 
     def _reflectances(self, group: LitPixels, count: int) -> NDArray[np.float64]:
-        """Return the reflectance of the material for each direction at the wavelengths of its rings, (n, count)."""
+        """Return the material's reflectance per direction at the wavelengths of its rings (circles), (n, count)."""
         from scipy import ndimage
 
         material = group.illuminated.material
@@ -321,7 +328,7 @@ class PolarGridSums:
 
 @dataclass(frozen=True)
 class _Placed:
-    """Directions of a group in the form that the kernels require.
+    """Directions of a group (one illuminant and material) in the form that the kernels require.
 
     Attributes:
         pixels: The struct ``PolarPixels`` of the kernels.

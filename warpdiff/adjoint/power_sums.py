@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.sites import Block, Sites
     from warpdiff.adjoint.surface_terms import SurfaceTerms
 
-# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of the frequency q,
-# the elements of the matrix M of the Gaussian weights, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩
-# itself.
+# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of the frequency
+# q = (u, v)/λ, the elements of the matrix M of the Gaussian weights, |κ| = |w|/λ, and the lengths of the patch. The
+# last column is ⟨|P|²⟩ itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
 # Index of the column with the weighted sum of Fourier coefficients itself in the result of
@@ -69,15 +69,15 @@ class PowerSums(Protocol):
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of their power ⟨|P|²⟩ for one change of the surface."""
+        """Return a function of pairs (direction, wavelength): changes of ⟨|P|²⟩ for one change of the surface."""
         ...
 
 
 class LobeSums:
-    """Diffracted power ⟨|P|²⟩ from Fourier coefficients with Gaussian weights, for one coherence of the light.
+    """Diffracted power ⟨|P|²⟩ from Fourier coefficients H with Gaussian weights, for one coherence of the light.
 
-    For averaged coherence windows and light sources, powers are summed. For centred windows, amplitudes are summed, and
-    the sum is squared.
+    For averaged coherence windows and light sources, powers |H|² are summed. For centred windows, amplitudes H are
+    summed, and the magnitude of the sum is squared.
     """
 
     def __init__(
@@ -85,15 +85,15 @@ class LobeSums:
         size_um: tuple[float, float], exponent: float, centre: tuple[float, float] = (0.0, 0.0),
         moving_um: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
-        """Compute the Chebyshev series of the Fourier coefficients.
+        """Compute the Chebyshev series of the Fourier coefficients H in |κ| = |w|/λ.
 
         Args:
             terms: Fourier coefficients of the surface.
-            rows: Chebyshev series, which are computed here. They are series of powers or of amplitudes.
-            block: Rectangle of orders that have coefficients.
+            rows: Chebyshev series of powers |H|² or of amplitudes H, which are computed here.
+            block: Rectangle of orders whose Fourier coefficients are summed.
             sites: Frequencies that have a series, and for each order of the block the index of its series.
             size_um: Size of the patch (y, x) [µm].
-            exponent: Coefficients with weights below e^−exponent are neglected.
+            exponent: Coefficients with Gaussian weights below e^−exponent are neglected.
             centre: Centre of the coherence window (y, x), relative to the size of the patch; only for amplitudes.
             moving_um: Coordinates (y, x) of the centre [µm] if the caller has fixed them. (0, 0) states that the centre
                 moves in proportion to the size of the patch.
@@ -106,7 +106,7 @@ class LobeSums:
         self._phases = np.exp(-2j * np.pi * ((s * centre[0]) % 1.0 + (r * centre[1]) % 1.0))[:, None]
         # Different orders may alias onto the same Fourier coefficient, but have different phases if the centre of a
         # coherence window is not at the origin. Amplitudes are therefore stored per order, with these phases. Powers
-        # have no phases and are stored per coefficient.
+        # |H|² have no phases and are stored per coefficient.
         cells = sites.places if rows.powers else np.arange(block.size, dtype=np.int32)
         self._coefficients = rows.rows if rows.powers else self._shifted(rows.rows)
         self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
@@ -155,7 +155,7 @@ class LobeSums:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of their power ⟨|P|²⟩ for one change of the surface."""
+        """Return a function of pairs (direction, wavelength): changes of ⟨|P|²⟩ for one change of the surface."""
         rows = self._rows.tangent(self._terms, self._terms.tangent(change))
         if not self._rows.powers:
             rows = self._shifted(rows)
@@ -173,7 +173,7 @@ class LobeSums:
         return [self._lobes.sums(pairs, row) for row in rows]
 
     def _shifted(self, rows: Rows) -> Rows:
-        """Return the amplitudes of all orders, with the phases that the centre of the coherence window causes."""
+        """Return the amplitudes of all diffraction orders, with the phases due to the coherence window's centre."""
         return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 

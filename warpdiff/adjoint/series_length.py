@@ -13,20 +13,21 @@ import numpy as np
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction.phase_series import bessel_j
 
-# Truncation error of a series, as a fraction of the permitted error of the result. The derivatives of the last terms
-# are larger than these terms by a factor of about the number of terms, which is at most a few hundred. With this
-# fraction, derivatives also meet the permitted error.
+# Truncation error of a series of e^{ixg}, as a fraction of the permitted error of the result. The derivatives of the
+# last terms are larger than these terms by a factor of about the number of terms, which is at most a few hundred. With
+# this fraction, derivatives also meet the permitted error.
 _MARGIN = 1e-2
-# Largest argument x of a series. The value is limited by kernels, which have memory for `lobe_sums.MOST_TERMS` terms: a
-# series of this argument has up to 970 terms. It corresponds to a height range of about 250 wavelengths.
+# Largest argument x of a series of e^{ixg}. The value is limited by kernels, which have memory for
+# `lobe_sums.MOST_TERMS` terms: a series of this argument has up to 970 terms. It corresponds to a height range of about
+# 250 wavelengths.
 _MOST_ARGUMENT = 800.0
 # Smallest truncation error of a series that can be required. The error is computed as a sum of the magnitudes of Bessel
 # functions. Below this value, the sum may consist of rounding errors only.
 _ROUNDING = 4e-15
-# A range of |κ| must not be too narrow, because rounding errors of a series become errors of its derivative in
-# proportion to 1/width. `_LEAST_RANGE` is the smallest width relative to |κ|. `_LEAST_PHASE` is the smallest change of
-# the phase over the width, for a height of half of the height range [radians]. The smaller of both widths is used. If
-# both numbers are doubled, series need one more term.
+# A range of |κ| = |w|/λ must not be too narrow, because rounding errors of a series in κ become errors of its
+# derivative in proportion to 1/width. `_LEAST_RANGE` is the smallest width relative to |κ|. `_LEAST_PHASE` is the
+# smallest change of the phase over the width, for a height of half of the height range [radians]. The smaller of both
+# widths is used. If both numbers are doubled, series need one more term.
 _LEAST_RANGE, _LEAST_PHASE = 0.1, 1.0
 # Fraction of its width by which a range of |κ| = |w|/λ is widened. Without this margin, rounding errors would place
 # some |κ| outside of the range.

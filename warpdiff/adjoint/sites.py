@@ -29,7 +29,7 @@ class Block:
 
     @property
     def size(self) -> int:
-        """Number of orders in the block."""
+        """Number of diffraction orders in the block."""
         return self.shape[0] * self.shape[1]
 
     def joined(self, other: Block) -> Block:
@@ -39,7 +39,7 @@ class Block:
         return Block((int(first[0]), int(first[1])), (int(beyond[0] - first[0]), int(beyond[1] - first[1])))
 
     def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return s and r of all orders of the block, row by row, both of shape (size,)."""
+        """Return s and r of all diffraction orders (s, r) of the block, row by row, both of shape (size,)."""
         s, r = (np.arange(first, first + count) for first, count in zip(self.first, self.shape, strict=True))
         return np.repeat(s, len(r)), np.tile(r, len(s))
 

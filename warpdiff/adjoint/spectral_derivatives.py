@@ -242,7 +242,7 @@ def spectral_reflectance(
     that requires more memory than is free raises an error before it starts.
 
     Args:
-        heightfield: Height field, or an outline, whose coefficients are exact.
+        heightfield: Height field, or an outline, whose Fourier coefficients are exact.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
         to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
@@ -303,7 +303,7 @@ def reflectance(
     A colour is a sum over wavelengths that are close enough for ``truncation``. The derivatives are those of the sum.
 
     Args:
-        heightfield: Height field, or an outline, whose coefficients are exact.
+        heightfield: Height field, or an outline, whose Fourier coefficients are exact.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
         to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length.
         wrt: Names of the variables of the derivatives: ``"heights_um"`` and ``"pitch_um"`` of a height field,

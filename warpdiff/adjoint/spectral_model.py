@@ -39,7 +39,7 @@ PAIRS_TOGETHER = 1 << 18
 # The value is limited by memory: a pair requires 72 bytes.
 MOST_KEPT = 1 << 23
 # Names of the variables that are the surface itself: heights of a height field, or vertices of an outline (polygon).
-# Their adjoint and tangent are computed for all pairs in one step.
+# Their adjoint and tangent are computed for all directions and wavelengths in one step.
 SURFACE = ("heights_um", "vertices")
 
 
@@ -72,7 +72,10 @@ class Illumination:
 
     @property
     def falloffs(self) -> NDArray[np.float64]:
-        """Factor a [µm²] of the weights exp(−a dᵀQd) of Fourier coefficients at the m wavelengths, shape (m,)."""
+        """Factor a of the Gaussian weights exp(−a dᵀQd) of Fourier coefficients at each wavelength, shape (m,).
+
+        d is the distance in frequency [1/µm]. The unit of a is µm².
+        """
         if self.coherence.kind == "source":
             return np.asarray((1e-3 * self.wavelengths_nm / self.coherence.spread) ** 2 / 2.0)
         factor = 4.0 if self.coherence.kind == "averaged" else 2.0
@@ -264,14 +267,18 @@ class SpectralModel:
         return reflection.IOR_VARIABLES if material is None else reflection.MATERIAL_VARIABLES
 
     def _along(self, slopes: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the reflectance ρ, (n, m), for a change of the matrix Q of the weights, (n, 3)."""
+        """Return the change of the reflectance ρ, (n, m), for changes of the elements of the matrix Q, shape (n, 3).
+
+        Q determines the shape of the Gaussian weights exp(−a dᵀQd) of Fourier coefficients.
+        """
         by_form = slopes[[M_XX, M_XY, M_YY]]
         return np.asarray(np.einsum("pnm,np->nm", by_form, shapes) * self._illumination.falloffs)
 
     def _through_source(self, part: slice, slopes: NDArray[np.float64]) -> NDArray[np.float64] | float:
         """Return the part of the derivatives of ρ by the direction to the light that the matrix Q causes.
 
-        Q describes the foreshortening of a source, which changes with the direction. Without a source, the part is 0.
+        Q is the shape of the Gaussian weights exp(−a dᵀQd) of Fourier coefficients. It describes the foreshortening of
+        a source, which changes with the direction. Without a source, the part is 0.
         """
         if self._illumination.coherence.kind != "source":
             return 0.0

@@ -83,7 +83,7 @@ class Relief:
 
     @property
     def lattice(self) -> Periodic:
-        """Size of the period and its constant axes, which determine the directions of orders."""
+        """Size of the period and its constant axes, which determine the directions of diffraction orders."""
         if isinstance(self.surface, HeightField):
             return self.surface
         return _Lattice((1, 2), self.size_um, self.surface.height_range_um)

@@ -98,8 +98,9 @@ class WavelengthSums:
     def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:
         """Yield the pairs of n directions and m wavelengths, in parts that fit into memory.
 
-        Each item is the index of the group of directions, the indices of the directions in it, the pairs, the factors
-        by which their sums are multiplied, shape (n, m), and the weights that sum the products to XYZ, shape (m, 3).
+        Each item is the index of the group of directions with one illuminant and material, the indices of the
+        directions in it, the pairs, the factors by which the weighted sums of |H|² are multiplied, shape (n, m), and
+        the weights that sum the products to XYZ, shape (m, 3).
         """
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
@@ -115,8 +116,8 @@ class WavelengthSums:
     def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return XYZ of the directions of each group, shape (n, 3).
 
-        ``sums`` is a function of pairs (a direction and a wavelength). It returns the weighted sum of powers of each
-        pair.
+        ``sums`` is a function of pairs (a direction and a wavelength). For each pair it returns the sum of the powers
+        |H|² of Fourier coefficients with Gaussian weights.
         """
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
@@ -124,7 +125,7 @@ class WavelengthSums:
         return result
 
     def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
-        """Yield pairs (direction, wavelength) in parts with the adjoints of their sums, from those of XYZ, (n, 3)."""
+        """Yield groups of pairs (direction, wavelength) with the adjoints of their weighted sums, from those of XYZ."""
         for index, part, pairs, factors, weights in self.parts():
             yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
@@ -140,8 +141,9 @@ class WavelengthSums:
         if group.footprints is not None:
             of_uv += group.footprints
         if self._is_source:
-            # A source of finite size has the covariance s² (I − t tᵀ) of (u, v). s is its radius over √2 [radians], and
-            # t is the vector of the x and y components of the direction to the light.
+            # A source of finite size has the covariance s² (I − t tᵀ) of (u, v). s is the angular radius of the source
+            # divided by √2 [radians], I is the unit matrix, and t has the x and y components of the direction to the
+            # light.
             x, y = group.to_lights[:, 0], group.to_lights[:, 1]
             longest = np.minimum(1.0, math.sqrt(1.0 - lowest**2) / np.maximum(np.hypot(x, y), TINY))
             x, y = longest * x, longest * y
@@ -151,7 +153,10 @@ class WavelengthSums:
         return of_q, of_uv
 
     def _rates(self, group: LitPixels, height_range_um: float) -> NDArray[np.float64]:
-        """Return the largest angular frequency of each direction's spectrum over 1/λ, or over ln λ for a source."""
+        """Return the largest angular frequency of each direction's spectrum, as a function of 1/λ [rad·µm].
+
+        For a light source of finite size, the spectrum is a function of ln λ instead [rad].
+        """
         u, v, w = group.scattering_vectors.T
         # For a light near the horizon, the source is foreshortened to 0, and the result would become infinite. The
         # limit `LOWEST` prevents this.
@@ -166,7 +171,7 @@ class WavelengthSums:
         return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
 
     def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return the pairs of n directions with m wavelengths, and factors that multiply their sums, shape (n, m)."""
+        """Return the pairs of n directions with m wavelengths, and factors (n, m) of their weighted sums of |H|²."""
         vectors = group.scattering_vectors
         of_q, of_uv = self._variances(group)
         xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)
@@ -174,8 +179,8 @@ class WavelengthSums:
         forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
         factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
         if group.footprints is not None:
-            # A footprint widens the lobe (Gaussian weight) of a Fourier coefficient. The maximum of the lobe becomes
-            # lower, so that its integral is unchanged.
+            # The footprint (range of (u, v)) of a pixel widens the lobe (Gaussian weight) of a Fourier coefficient. The
+            # maximum of the lobe becomes lower, so that its integral is unchanged.
             own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
             factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
         if group.illuminated.material is not None:

@@ -75,8 +75,8 @@ _ANGLES, _EACH_NM = 65, 5
 # half. `_CANDIDATES` is the number of random pairs from which both halves are selected, and `_SEED` is the random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # Before the ΔE2000 of a colour is computed, the colour is scaled to the luminance Y = `_SHOWN`. Colours whose luminance
-# is below a limit, `_FLOOR` times the reference luminance, are multiplied by the same factor as colours at the limit,
-# so that they remain dark.
+# is below a limit, `_FLOOR` times the reference luminance (about that of the brightest colours), are multiplied by the
+# same factor as colours at the limit, so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table of baked lobes is computed [bytes per sample of its polar grid over (u, v)].
 _BYTES_A_NODE = 170
@@ -176,7 +176,7 @@ class _Bakery:
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
-        """Return the smallest table whose error is within the accepted ΔE2000.
+        """Return the smallest table of colours whose error is within the accepted ΔE2000.
 
         If no table is that accurate, the function raises an error, or returns the largest table with a warning.
         """

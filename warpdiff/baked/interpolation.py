@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)| of a scattering vector. It occurs if light and view have the same direction along the surface.
 _LARGEST = 2.0
-# Radius |(u, v)| of the innermost ring, as a share of the standard deviation of a lobe (the peak of a diffraction
-# order). Within this radius, colours are constant.
+# Radius |(u, v)| of the innermost ring (circle) of the polar grid, as a share of the standard deviation of a lobe (the
+# peak of a diffraction order). Within this radius, colours are constant.
 _FLAT_WITHIN = 0.05
 
 
@@ -33,8 +33,8 @@ def lobe_grid(rings: int, azimuths: tuple[int, ...]) -> PolarGrid:
     """Return the polar grid of baked lobes over (u, v).
 
     Args:
-        rings: Number of rings per octave, a doubling of the radius |(u, v)|.
-        azimuths: Number of azimuth samples per ring, for each octave.
+        rings: Number of rings (circles) per octave, a doubling of the radius |(u, v)|.
+        azimuths: Number of azimuth samples (polar angles) per ring, for each octave.
     """
     return PolarGrid(rings, math.log(_LARGEST) - ring_of_largest(rings, azimuths) * math.log(2.0) / rings, azimuths)
 
@@ -47,7 +47,7 @@ def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
 def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
     """Return the polar grid that resolves lobes (peaks of orders) with a standard deviation of ``width`` in (u, v).
 
-    Along a ring, the grid has ``azimuths_per_width`` samples per ``width``.
+    Along a ring (circle of constant |(u, v)|), the grid has ``azimuths_per_width`` samples per ``width``.
     """
     octaves = max(math.ceil(math.log2(_LARGEST / (_FLAT_WITHIN * width)) + 2.0 / rings), 1)
     tops = _LARGEST * 2.0 ** (np.arange(octaves) - octaves + 1.0)
@@ -55,7 +55,7 @@ def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
 
 
 def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the coefficients of periodic cubic B-splines through values at the samples (nodes) of each ring.
+    """Return the coefficients of periodic cubic B-splines through values at the samples (nodes) of each ring (circle).
 
     Both arrays have the shape (nodes, ...).
     """
@@ -69,7 +69,10 @@ def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray
 
 
 def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Interpolate values at points (u, v), shape (n, 2), by splines along four rings and by cubics across the rings."""
+    """Interpolate values at points (u, v), shape (n, 2), from the four nearest rings (circles of constant |(u, v)|).
+
+    The interpolation is by splines along the rings, and by cubic polynomials across the rings.
+    """
     u, v = uv.T
     last = ring_of_largest(grid.rings, grid.azimuths)
     ring = np.log2(np.maximum(np.hypot(u, v) / _LARGEST, 0.5 * 2.0 ** (-last / grid.rings))) * grid.rings + last
@@ -93,7 +96,7 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
 
 
 def b_spline(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the value of a cubic B-spline at t, 0 to 1, as weights of its coefficients at the nodes −1, 0, 1 and 2."""
+    """Return the weights of the coefficients at −1, 0, 1 and 2 in the value of a cubic spline at t, 0 to 1."""
     left = 1.0 - t
     return [
         left**3 / 6.0, 2.0 / 3.0 - t**2 + t**3 / 2.0, 2.0 / 3.0 - left**2 + left**3 / 2.0, t**3 / 6.0

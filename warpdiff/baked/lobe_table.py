@@ -38,8 +38,8 @@ MOST_W_BASIS = 16
 _ZEROTH_WAVELENGTHS = 40
 # Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
-# The polar grid of colours in a file may have at most these numbers of rings per octave (doubling of the radius), of
-# octaves, and of azimuth samples per ring. A file with larger numbers counts as damaged.
+# The polar grid of colours in a file may have at most these numbers of rings (circles) per octave (doubling of the
+# radius), of octaves, and of azimuth samples per ring. A file with larger numbers counts as damaged.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
 # Largest values of arguments. `_MOST_SIZE` is the largest number of cells per side of a Cartesian grid. `_LONGEST_UM`
 # is the longest wavelength for which the variance of a lobe (the peak of a diffraction order) is computed [µm].
@@ -130,7 +130,7 @@ class BakedLobes(table_files.SavedTable):
 
     @property
     def bytes(self) -> int:
-        """Size of the table [bytes]."""
+        """Size of the table of colours [bytes]."""
         arrays = (self.functions, self.exponents, self.mantissas, self.zeroth, self.reflectances)
         return sum(array.nbytes for array in arrays if array is not None)
 

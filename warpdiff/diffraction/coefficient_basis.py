@@ -115,7 +115,7 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the flat indices of the largest Fourier coefficients, and their powers in descending order.
+        """Return the flat indices of the largest Fourier coefficients H, and their powers |H|² in descending order.
 
         The powers are computed at one |κ| = |w|/λ in the middle of the range.
         """

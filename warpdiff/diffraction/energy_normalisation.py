@@ -43,16 +43,17 @@ if TYPE_CHECKING:
 # the function interpolates the factors on a grid of directions. The computing time of exact factors is proportional to
 # the square of the number of orders.
 MOST_EXACT = 600
-# Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
+# Numbers of elevations and of azimuths of the grid of directions at which energy factors are computed and between which
 # they are interpolated. A finer grid has smaller errors and requires more time.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v), the tangential
-# components of ωi + ωr]. The value is about the distance between two nodes of the grid of directions.
+# Width of the bins in which the powers |H|² of neighbouring orders are summed, to save time [units of (u, v), the
+# tangential components of ωi + ωr]. The value is about the distance between two nodes of the grid of directions.
 _BIN = 0.08
-# Number of sweeps of Sinkhorn's iteration before Newton's method starts. Sweeps always converge towards the balanced
-# factors. Newton's method is faster, but must start near the solution. Measurements show that Newton's method needs one
-# to five steps after 20 sweeps, even for shallow profiles, for which even 200 sweeps leave an error of 3e-4 of a weak
-# order. If the number was doubled, only computing time would be lost.
+# Number of sweeps of Sinkhorn's iteration before Newton's method starts. A sweep scales each row and each column of the
+# matrix of efficiencies once. Sweeps always converge towards the balanced factors. Newton's method is faster, but must
+# start near the solution. Measurements show that Newton's method needs one to five steps after 20 sweeps, even for
+# shallow profiles, for which even 200 sweeps leave an error of 3e-4 of a weak order. If the number was doubled, only
+# computing time would be lost.
 _SWEEPS = 20
 # Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never
 # converges: too many elements of the matrix of efficiencies are 0, so that no factors give the prescribed sums.
@@ -67,9 +68,9 @@ _LONGEST_STEP = 1.0
 # it, the equations would have no unique solution: in each group of orders that exchange no power with other orders, all
 # factors may be multiplied by one number. The value was derived from the rounding error of float64.
 _RIDGE = 1e-15
-# The energy factors on the grid of directions are balanced by sweeps. `_MOST_GRID_SWEEPS` is the largest number of
-# sweeps. Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the factor. If the factors
-# have not converged, Newton's method continues.
+# The energy factors on the grid of directions are balanced by sweeps of Sinkhorn's iteration. `_MOST_GRID_SWEEPS` is
+# the largest number of sweeps. Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the
+# factor. If the factors have not converged, Newton's method continues.
 _MOST_GRID_SWEEPS, _GRID_CONVERGED = 200, 1e-10
 # The power of a bin of orders is tabulated over |κ|. This number is the number of entries per radian of π|κ| · (height
 # range). The fastest oscillation of a power has twice this phase. Parabolas interpolate between entries.
@@ -112,7 +113,7 @@ class Powers:
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Compute the powers of all bins of neighbouring orders.
+        """Compute the powers |H|² of the orders, summed in bins of neighbouring orders.
 
         Args:
             heightfield: Height field, one period.
@@ -161,7 +162,7 @@ class Powers:
 
 
 def _block_starts(n: int, block: int) -> NDArray[np.int64]:
-    """Split n orders into blocks; return the index of the first order of each block.
+    """Split n diffraction orders into blocks; return the index of the first order of each block.
 
     The zeroth order, which has the index n // 2, is in the middle of its block.
     """
@@ -188,7 +189,7 @@ def stam(
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Energy factor a, by which efficiencies are multiplied, as a function of direction (on a grid) and wavelength.
+    """Energy factor a, by which efficiencies are multiplied, on a grid of directions, for several wavelengths.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
@@ -296,7 +297,7 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the four nodes of the direction grid around unit vectors (n, 3), and their bilinear weights, (n, 4).
+    """Return the four nodes of the grid of directions around unit vectors, and their interpolation weights, (n, 4).
 
     The rows of the grid are equally spaced in √(1 − cos θ), which is nearly proportional to θ. In each quadrant, the
     columns are equally spaced in y/(|x| + |y|).
@@ -412,7 +413,7 @@ def balanced(
 def balance_response(
     shares: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the changes x, y of the logarithms of the factors that change the sums of a balanced matrix P.
+    """Return changes x, y of the logarithms of row and column factors that cause given changes of sums of a matrix P.
 
     They solve diag(P1) x + P y = ``rows`` and Pᵀ x + diag(Pᵀ1) y = ``columns``, where 1 is a vector of ones. The matrix
     of these equations is symmetric, so that the function is also its own transpose, which derivatives require.
@@ -463,7 +464,7 @@ def sums_from(
 ) -> NDArray[np.float64]:
     """Return the sum of K a(ωr) over all orders of each light, shape (n,). K is the efficiency, a the energy factor.
 
-    ``powers`` must have a separate bin for each order.
+    ``powers`` has the powers |H|² of the orders, and must have a separate bin for each order.
     """
     result = np.ones(len(lights))
     for row, light in enumerate(lights):

@@ -86,13 +86,13 @@ def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.f
 
 @dataclass(frozen=True)
 class Block:
-    """Block of Fourier coefficients (r, s) to store: a rectangle around r = s = 0, or all coefficients of a grid.
+    """Block of Fourier coefficients (r, s) to store: a rectangle around r = s = 0, or all of them.
 
     Attributes:
         count: Number of stored coefficients along (y, x).
         origin: Index of r = s = 0 along (y, x); the row with the index j has the order s = j − origin, modulo
             ``shape``.
-        shape: Number of distinct coefficients of the grid along (y, x).
+        shape: Number of distinct coefficients of the grid of frequencies along (y, x).
     """
 
     count: tuple[int, int]
@@ -115,7 +115,7 @@ class Block:
         return cls((count[0], count[1]), (origin[0], origin[1]), grid.shape)
 
     def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the orders s of the rows and r of the columns of the block, shapes (my,) and (mx,)."""
+        """Return the diffraction orders s of the rows and r of the columns of the block, shapes (my,) and (mx,)."""
         orders = []
         for count, origin, samples in zip(self.count, self.origin, self.shape, strict=True):
             order = np.arange(count, dtype=np.int64) - origin
@@ -128,7 +128,7 @@ def series_coefficients(
     taper: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None, threads: int = 1,
     dtype: DTypeLike = np.complex128,
 ) -> NDArray[np.complexfloating]:  # fmt: skip
-    """Return the coefficients F_n[s, r] of the series of Fourier coefficients, transformed in float64.
+    """Return the coefficients F_n[s, r] of the series in κ = w/λ of Fourier coefficients, transformed in float64.
 
     Args:
         heightfield: Height field to transform.

@@ -81,9 +81,9 @@ class Expansion:
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the number of terms with which the truncation error is at most ``tolerance``, up to ``MAX_TERMS``.
+        """Return the number of terms with which the series has a truncation error of at most ``tolerance``.
 
-        ``argument`` is the largest |x| of the series.
+        If no number suffices, the result is ``MAX_TERMS``. ``argument`` is the largest |x| of the series.
         """
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:

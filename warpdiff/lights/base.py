@@ -96,7 +96,7 @@ class EmissionProfile(ABC):
 
     @abstractmethod
     def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that computes the unit vector to a lobe, and the factor of its power, for each ray.
+        """Return the kernel call that computes the unit vector to a light's lobe, and the factor of its power, per ray.
 
         The kernel writes both to the array ``batch.samples.towards``. ``lobe`` is an index of the struct ``lights``.
         """
@@ -118,8 +118,8 @@ class Lobe:
             ignored. None for a light that is infinitely far away.
         profile: Factor of the power by direction of emission; None is equal light in all directions.
         name: Argument and class of the light, for messages; pictures set it.
-        is_of_sky: Whether ``illuminant`` is a radiance L divided by λ², as for suns of an environment. A white pigment
-            (base colour of the mesh) then has the chromaticity of L.
+        is_of_sky: Whether ``illuminant`` is a spectral radiance L(λ) divided by λ², as for suns of an environment. A
+            white pigment (base colour of the mesh) then has the chromaticity of L.
     """
 
     to_light: tuple[float, float, float]
@@ -151,8 +151,8 @@ class LobeSet(LightPart):
     has_lobes = True
 
     def __post_init__(self) -> None:
-        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the lobes are
-        # therefore set through ``vars``.
+        # The fields of a frozen dataclass cannot be assigned. The attributes that follow from the lobes of the light
+        # are therefore set through ``vars``.
         vars(self).update(
             spectra=tuple(lobe.illuminant for lobe in self.lobes), sample_count=len(self.lobes),
             has_extent=any(lobe.deviations is not None for lobe in self.lobes),
@@ -170,7 +170,7 @@ class LobeChoice(LobeSet):
     """Set of many lobes with one illuminant, each with a single direction. Each ray chooses one lobe at random."""
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every subpixel cell adds the colour under one lobe, chosen at random."""
+        """Return the pass in which every subpixel cell adds the colour under one lobe (direction), chosen at random."""
         # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.choice_pass import ChoicePass
 
@@ -209,7 +209,7 @@ class LobeLight(Checked, Light):
         """Return the lobes of the light: Gaussians of directions or of positions."""
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
-        """Return the lobes as the only part of the light."""
+        """Return the lobes (Gaussians of directions) as the only part of the light."""
         colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
         return [LobeSet(self.lobes())]
 

@@ -289,8 +289,8 @@ class SkyPart(LightPart):
     has_extent = True
 
     def __post_init__(self) -> None:
-        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the grid are
-        # therefore set through ``vars``.
+        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the grid of the sky
+        # are therefore set through ``vars``.
         vars(self).update(spectra=self.grid.spectra, sample_count=self.grid.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:
@@ -305,10 +305,10 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
 
     ``sigma_um`` is the standard deviation of the window, written σ here, and λ is the wavelength.
 
-    Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ², because 4πσ²/λ² converts the relative reflectance ρ to
-    an absolute BRDF. The spectrum L/λ² is therefore used like the illuminant of a directional light.
-    Spectra of RGB colours under D65 are sums of basis functions (Mallett and Yuksel, Spectral Primary Decomposition for
-    Rendering with sRGB Reflectance, 2019).
+    Spectral radiance L(λ) of the sky in a solid angle dω adds ρ L dω 4πσ²/λ² to the reflected radiance. Here 4πσ²/λ²
+    converts the relative reflectance ρ to an absolute BRDF. The spectrum L/λ² is therefore used like the illuminant of
+    a directional light. Spectra of RGB colours under D65 are sums of basis functions (Mallett and Yuksel, Spectral
+    Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
     grid, suns = environment._grid
     primaries, per_radiance = _spectra()
@@ -335,9 +335,11 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
 
 @functools.cache
 def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]]:
-    """Return the illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] for a radiance L of 1.
+    """Return the spectra L/λ² of red, green and blue light of the sRGB primaries, and the power of each, shape (3,).
 
-    λ is the wavelength, and ȳ the luminous efficiency.
+    L(λ) is the spectral radiance of a primary under D65, λ the wavelength [µm], and ȳ the luminous efficiency. The
+    power is ∫ L ȳ/λ² dλ [1/µm²], for L with a scale such that ∫ L ȳ dλ is the luminance of the primary. The luminances
+    of the three primaries add up to 1.
     """
     colour: Any = colour_science()
     shape = colour.SpectralShape(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, 1)

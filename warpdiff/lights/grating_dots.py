@@ -146,7 +146,8 @@ class GratingDots:
     ) -> tuple[LookupSamples, list[KernelCall]]:
         """Return the samples of a surface in the frames of its dots, and the kernel calls that compute them.
 
-        In the frame of a dot, the dot's rotation and scaling of the height field are undone.
+        A sample is a scattering vector with the direction to the light and the footprint of the pixel. In the frame of
+        a dot, the dot's rotation and scaling of the height field are undone.
 
         Args:
             surface: Index of a surface with a grating map.

@@ -174,14 +174,14 @@ class PassContext:
         return np.where(surfaces[finishes] == surface, gains, np.float32(0.0))
 
     def pigment_white(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the colour of a white pigment in linear sRGB, relative to the mirror that defines the picture's unit.
+        """Return the linear sRGB of a white pigment (base colour), relative to the mirror that is the unit of colours.
 
-        ``is_of_sky`` states whether ``illuminant`` is the radiance of a sky divided by λ².
+        ``is_of_sky`` states whether ``illuminant`` is the spectral radiance of a sky divided by λ².
         """
         return colorimetry.xyz_to_rgb(self.white_xyz(illuminant, is_of_sky=is_of_sky))
 
     def white_xyz(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the XYZ of a white pigment, relative to the mirror that defines the picture's unit."""
+        """Return the XYZ of a white pigment (base colour), relative to the mirror that defines the picture's unit."""
         return reflectance_factors.pigment_white(illuminant, *self._unit, is_of_sky=is_of_sky)
 
 
@@ -189,7 +189,8 @@ class PassContext:
 class LightSamples:
     """Arrays for one lobe of a light at n hits of rays. The next lobe overwrites the values.
 
-    If a light's directions are drawn at random, a lobe stands for one direction that each ray draws.
+    A lobe is a Gaussian of directions, or a single direction. If a light's directions are drawn at random, a lobe
+    stands for one direction that each ray draws.
 
     Attributes:
         occluded: Whether the mesh occludes the lobe at each hit, (n,).
@@ -253,7 +254,7 @@ class RayBatch:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
+        samples: Samples of one lobe of a light at the hits; the samples of the next lobe overwrite them.
         xyz: Sums of colours, (n,).
         coverage: Sums of hits, (n,); an empty array is not written.
         illuminated: Whether light reached the ray's hit, (n,); an empty array is not written.
@@ -283,7 +284,7 @@ class RayBatch:
 
 @dataclass(frozen=True)
 class Counting:
-    """Rule by which the samples of a lobe are added to the sums of a batch of rays.
+    """Rule by which the samples of a light's lobe (direction) are added to the sums of a batch of rays.
 
     Attributes:
         weight: Weight of the lobe's colours in the sum of colours.
@@ -309,8 +310,8 @@ class LightPass(ABC):
         first_level: Level of the first subdivision of pixels; level n has 2ⁿ × 2ⁿ cells. It is higher for random
             directions, because four cells are too few to estimate noise.
         context: Context that all passes of the picture share.
-        lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
-            per pixel in a picture whose pixels are not subdivided.
+        lobe_count: Number of lobes (Gaussians of directions), which are processed one after the other; for sampled
+            lights, number of directions per pixel in a picture whose pixels are not subdivided.
         illuminated: Illuminants with materials (``IlluminatedMaterial``) by lobe, finish and spectrum.
     """
 
@@ -331,7 +332,7 @@ class LightPass(ABC):
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
 
     def of_surface(self, surface: int) -> tuple[tuple[IlluminatedMaterial, ...], ...]:
-        """Return the illuminants of the first lobe with the materials of a surface, by material and spectrum."""
+        """Return the illuminants of the light's first lobe with a surface's materials, by material and spectrum."""
         return tuple(
             spectra
             for finish, spectra in zip(self.context.finishes, self.illuminated[0], strict=True)
@@ -340,16 +341,16 @@ class LightPass(ABC):
 
     @property
     def first_lobes(self) -> range:
-        """Lobes that are evaluated with one ray per pixel, before pixels are subdivided."""
+        """Lobes (Gaussians of directions) that are evaluated with one ray per pixel, before pixels are subdivided."""
         return range(self.lobe_count)
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose directions are measured before a plan (the numbers of the computation) is chosen for them."""
+        """Lobes of the light whose directions are measured, before a plan (numbers of the computation) is chosen."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
-        """Return the lobes, or the indices of random directions, that are evaluated for subpixel cells of a level.
+        """Return the light's lobes, or indices of random directions, that are evaluated for subpixel cells of a level.
 
         In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
         directions.
@@ -374,7 +375,7 @@ class LightPass(ABC):
         A recorded CUDA graph reads the arrays that existed when it was recorded, and therefore requires this reuse.
 
         Args:
-            previous: The pass of the same part in the previous picture; None if there is none.
+            previous: The pass of the same part of the light in the previous picture; None if there is none.
         """
 
     @property
@@ -391,22 +392,22 @@ class LightPass(ABC):
 
     @property
     def white_luminance(self) -> float:
-        """Luminance of a white matte surface that faces the brightest lobe of the pass."""
+        """Luminance of a white matte surface that faces the brightest lobe (Gaussian of directions) of the light."""
         return 0.0
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
+        """Return the kernel calls that sample a light's lobe at a batch of hits, and add the light of the pigment."""
 
     @abstractmethod
     def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours at the samples of a batch, and add them to its sums."""
+        """Return the kernel calls that look up colours at the samples of a batch of rays, and add them to its sums."""
 
     def look_up(
         self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookups: Lookups,
         surface: int | None = None,
     ) -> list[KernelCall]:  # fmt: skip
-        """Return the kernel calls that look up the colours of a lobe, and add them to the batch's sums.
+        """Return the kernel calls that look up the colours under a lobe of the light, and add them to the batch's sums.
 
         Args:
             lobe: Index of the lobe.

@@ -49,10 +49,10 @@ class LobePass(LightPass):
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
-        """Write the lobes into arrays. Arrays of the previous pass are reused if it had the same number of lobes.
+        """Write the light's lobes into arrays. Arrays of the previous pass are reused for the same number of lobes.
 
-        An occluder grid lists the faces that may block light from one direction. The grids of the previous pass are
-        reused only if the directions of its lobes are the same, too.
+        A lobe is a Gaussian of directions. An occluder grid lists the faces that may block light from one direction.
+        The grids of the previous pass are reused only if the directions of its lobes are the same, too.
         """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
@@ -76,14 +76,14 @@ class LobePass(LightPass):
     def _grid_key(self) -> tuple[Hashable, ...]:
         """Values on which the occluder grids depend. A grid lists the faces that may block light from one direction.
 
-        A disc light has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction
-        is that of another lobe.
+        A disc light has no grid. A lobe (Gaussian of directions) with a position or an emission profile has an empty
+        grid, even if its direction is that of another lobe.
         """
         lobes = self.part.lobes
         return type(self), *((lobe.to_light, lobe.position is None, lobe.profile is None) for lobe in lobes)
 
     def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
-        """Return position or direction, standard deviations and power of a lobe, in coordinates of the mesh.
+        """Return position or direction, standard deviations and power of a light's lobe, in coordinates of the mesh.
 
         The first result has four homogeneous coordinates: a direction and 0, or a position and 1. For a position, the
         power is that at a distance of one mesh radius; users specify the power at a distance of one mesh unit.
@@ -102,7 +102,7 @@ class LobePass(LightPass):
 
     @property
     def white_luminance(self) -> float:
-        """Luminance of a white matte surface that faces the brightest lobe.
+        """Luminance of a white matte surface that faces the brightest lobe of the light.
 
         For a light at a position, the luminance is that at the centre of the mesh.
         """
@@ -123,7 +123,7 @@ class LobePass(LightPass):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the occluder grids of all lobes exist (they may be empty), so that shadow rays can be traced."""
+        """Whether the occluder grids of all lobes of the light exist (some may be empty), for shadow rays."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
@@ -212,7 +212,7 @@ class LobePass(LightPass):
         return [self.filter_footprints(batch), *widen]
 
     def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours of a lobe, separately for each surface and material."""
+        """Return the kernel calls that look up the colours under a lobe of the light, for each surface and material."""
         calls, footprints = [], None
         if lookups.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints

@@ -61,7 +61,7 @@ def plain_faces(
     if factors is None:
         return None
     count = len(factors.roughness)
-    # Faces without a material use the last row of the arrays, which is that of a matte material without emission.
+    # Faces without a material use the last element of the arrays, which is that of a matte material without emission.
     rows = np.where(is_plain & (mesh.rows >= 0), mesh.rows, count)
     roughness, emission = np.append(factors.roughness, -1.0), np.append(factors.emission, [[0.0] * 3], axis=0)
     is_glossy, emits = roughness[rows] >= 0.0, bool(np.any(emission[np.unique(rows)] > 0.0))

@@ -41,9 +41,9 @@ _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 # and θr are the angles of light and view from the normal. The mean of the colours over these |w| determines the
 # probability of a direction. The values were chosen freely: they change only the noise of pictures.
 _WS = (0.8, 1.3, 1.8)
-# The colour at each sample of the grid of scattering vectors (u, v) is a mean over (u, v) with a Gaussian weight. This
-# is the standard deviation of the weight, relative to the distance of neighbouring samples. Larger values would blur
-# the distribution of directions.
+# The colour at each sample of the polar grid of scattering vectors (u, v) is a mean over (u, v) with a Gaussian weight.
+# This is the standard deviation of the weight, relative to the distance of neighbouring samples. Larger values would
+# blur the distribution of directions.
 _WIDTH = 0.4
 # Fraction of the probability that is distributed evenly, both over the azimuths of a ring (circle of constant |(u, v)|)
 # and over all rings. It is necessary because a surface that is dark at (u, v) and the few |w| in `_WS` may be bright at
@@ -93,7 +93,7 @@ def distribution_for(
 
     Args:
         lookup: Look-up of the surface's colours; None for a surface without a height field.
-        illuminated: Spectra of the sky together with the materials that they illuminate, by material and spectrum.
+        illuminated: Three spectra of the sky with the materials that they illuminate, by material and spectrum.
         blocks: Cumulative probabilities, and probabilities per solid angle, of the sky's blocks (squares of grid
             cells), as :func:`upload_sky` returns them.
         sky_share: Fraction of the samples that are drawn by the brightness of the sky.
@@ -166,7 +166,8 @@ def _of_surface(
     across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
     footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
     bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
-    # The power of a sample of the grid is the X + Y + Z of its colour, times the area in (u, v) that it represents.
+    # The power of a sample of the polar grid is the X + Y + Z of its colour, times the area in (u, v) that it
+    # represents.
     area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
     means = np.add.reduceat(bright, starts[:-1]) / spokes
     power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area

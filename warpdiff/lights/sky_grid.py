@@ -102,8 +102,8 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
     least_power = _SUN_SHARE * (bright * solid).sum()
     brightest = bright.max()
     row, column = np.unravel_index(bright.argmax(), bright.shape)
-    # Only a window around the brightest cell is searched. It extends three angular radii of the sun in each direction:
-    # one radius to the sun's centre, and two radii for the surroundings.
+    # Only a window around the brightest cell of the sky's grid is searched. It extends three angular radii of the sun
+    # in each direction: one radius to the sun's centre, and two radii for the surroundings.
     reach = math.ceil(3.0 * sun_extent / math.pi * height) + 1
     rows = slice(max(int(row) - reach, 0), int(row) + reach + 1)
     bright, solid = bright[rows], np.broadcast_to(solid, bright.shape)[rows]
@@ -159,6 +159,6 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         first = np.minimum(place.astype(int), len(edges) - 2)
         sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
         result = np.moveaxis(np.diff(sums, axis=0) / np.diff(targets)[:, None, None], 0, axis)
-    # An axis that was averaged already has the number of cells of the grid, so that the interpolation does not change
-    # values along it.
+    # An axis along which the image was averaged already has the number of cells of the sky's grid, so that the
+    # interpolation does not change values along it.
     return result if result.shape[:2] == (ROWS, 2 * ROWS) else sample_grid(result, grid_directions(), 0.0)

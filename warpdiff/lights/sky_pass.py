@@ -74,7 +74,7 @@ class SkyPass(LightPass):
 
     @property
     def white_luminance(self) -> float:
-        """Luminance of a white matte surface under the mean radiance of the sky over all directions."""
+        """Luminance of a white matte surface under a sky whose radiance is everywhere the mean over all directions."""
         rows = len(self.grid.powers)
         solid = -np.diff(np.cos(np.arange(rows + 1) / rows * math.pi)) * 0.5 / self.grid.powers.shape[1]
         # Under a sky of constant radiance, a white matte surface has a luminance of π times the power per solid angle.

@@ -87,7 +87,7 @@ class Coherence(Checked):
 
     @property
     def adds_powers(self) -> bool:
-        """Whether the powers of neighbouring Fourier coefficients are added. Otherwise their amplitudes are added."""
+        """Whether powers |H|² of neighbouring Fourier coefficients are added; otherwise amplitudes H are added."""
         return self.kind in {"averaged", "source"}
 
     @property

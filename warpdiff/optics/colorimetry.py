@@ -166,7 +166,7 @@ def products_by_colour_science(name: str) -> NDArray[np.float64]:
 
 @functools.cache
 def _tabulated(illuminant: Illuminant) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return the wavelengths [nm] and powers of an illuminant, and the mean of the powers with the weight ȳ."""
+    """Return wavelengths [nm] and spectral powers of an illuminant, and the mean of the powers with the weight ȳ."""
     if isinstance(illuminant, Spectrum):
         wavelengths, values = np.asarray(illuminant.wavelengths_nm), np.asarray(illuminant.values)
         visible = _at_whole_nanometres(wavelengths, values)
@@ -282,7 +282,7 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Add half of each negative weight to each of its two neighbours, and replace the negative weight by 0.
+    """Add half of each negative weight of a wavelength to each of its two neighbours, and replace it by 0.
 
     The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth reflectance
     hardly change.
@@ -295,7 +295,8 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
         weights = weights - negative
         weights[1:] += halves[:-1]
         weights[:-1] += halves[1:]
-        # The first and the last weight have only one neighbour. The other half of a negative weight remains there.
+        # The weights of the first and the last wavelength have only one neighbour. The other half of a negative weight
+        # remains there.
         weights[0] += halves[0]
         weights[-1] += halves[-1]
     return np.maximum(weights, 0.0)

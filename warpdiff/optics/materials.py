@@ -350,7 +350,7 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and the material that it illuminates. Colours are computed for each such pair separately.
+    """Illuminant and the material that it illuminates. Colours are computed separately for each combination.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.
@@ -364,7 +364,7 @@ class IlluminatedMaterial:
     def of(
         cls, illuminants: Iterable[colorimetry.Illuminant], materials: Iterable[Material | None]
     ) -> tuple[IlluminatedMaterial, ...]:
-        """Return all pairs of one of ``illuminants`` and one of ``materials``, without duplicates."""
+        """Return all combinations of one of ``illuminants`` and one of ``materials``, without duplicates."""
         return tuple(dict.fromkeys(itertools.starmap(cls, itertools.product(illuminants, materials))))
 
 
@@ -432,7 +432,7 @@ def _check_no_ior(ior: object) -> None:
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
     """Return the transmittance 1 − R of a surface above a pigment (base colour), in linear RGB, shape (n, 3).
 
-    The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
+    The n rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
     reflectance. Opaque materials transmit nothing. For other materials, with or without a film, 1 − R is averaged over
     the wavelengths separately for red, green and blue. The weight of a wavelength is its contribution to the colour of
     a white pigment under D65.

@@ -131,14 +131,14 @@ def pigment_white(
 
     The factor G(λ) of :func:`pigment_solid_angle` is replaced by its mean ∫ G S ȳ dλ / ∫ S ȳ dλ. The luminance is then
     exact, and the pigment has the chromaticity of the illuminant. With G(λ) itself, which is proportional to λ² for a
-    window, a white pigment would look reddish. Under a sky, S is the radiance divided by λ², so that G S has the
-    chromaticity of the sky.
+    window, a white pigment would look reddish. Under a sky, S is its spectral radiance divided by λ², so that G S has
+    the chromaticity of the sky.
 
     Args:
         illuminant: Name or spectrum of the illuminant.
         coherence: The window, source or periods to which colours are relative.
         patch_area_um2: Area of the patch [µm²]; used for periods only.
-        is_of_sky: Whether ``illuminant`` is the radiance of a sky divided by λ².
+        is_of_sky: Whether ``illuminant`` is the spectral radiance of a sky divided by λ².
     """
     products = colorimetry.colour_products(illuminant)
     solid_angle = pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, coherence, patch_area_um2)

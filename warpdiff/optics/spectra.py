@@ -113,7 +113,7 @@ class Spectrum(ReadOnlyArrays):
         """
         kelvin = validation.number(temperature_k, "temperature_k", least=500.0, most=1e5)
         nm = np.arange(360.0, 831.0)
-        # Powers are divided by the power at 560 nm, which prevents overflow.
+        # Spectral powers are divided by the power at 560 nm, which prevents overflow.
         exponents = _SECOND_RADIATION_CONSTANT / kelvin * (1.0 / nm - 1.0 / 560.0)
         ratio = np.expm1(-_SECOND_RADIATION_CONSTANT / (kelvin * 560.0)) / np.expm1(
             -_SECOND_RADIATION_CONSTANT / (kelvin * nm)

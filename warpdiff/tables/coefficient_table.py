@@ -182,7 +182,7 @@ def coefficients_for(
     Args:
         heightfield: Height field whose coefficients are returned.
         method: One of ``coefficient_basis.METHODS``.
-        coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
+        coherence: Coherence, which selects the grid of frequencies and whether powers |H|² or amplitudes H are fitted.
         direction_range: Range of directions and wavelengths.
         neighbour_extent: Number of coefficients along (y, x) on either side of the frequency q = (u, v)/λ of a
             direction that look-ups may read.

@@ -43,8 +43,8 @@ _ENTRIES_OVER_W = 160
 # this |w|, or by this share of their largest magnitude over all |w|, whichever is larger.
 _LEAST_SCALE_OVER_W = 1e-2
 # Number of wavelengths at which the colour curves (illuminant times colour-matching function times reflectance) are
-# sampled between two neighbouring knots of their splines. The splines, which have one knot per ring of the table, are
-# fitted to these samples.
+# sampled between two neighbouring knots of their splines. The splines, which have one knot per ring of the table
+# (circle of constant |(u, v)|), are fitted to these samples.
 _SAMPLES_PER_NODE = 64
 # Splines are fitted to colour curves (illuminant times colour-matching function times reflectance). Errors of the fit
 # are relative to the values of a curve, which vanish at both ends of the visible range. The divisor of an error is
@@ -78,7 +78,7 @@ class SpectrumBasis:
         sizes: Typical magnitude of the weight of each basis function in the rows, relative to the other weights, shape
             (terms,).
         share: Permitted error by the limited number of functions of w in a colour table, as a share of the tolerance.
-        holds_lines: Whether rows are powers per unit area of frequency, as for the coherence of a light source of
+        holds_lines: Whether rows are powers |H|² per unit area of frequency, as for the coherence of a light source of
             finite size, where diffraction orders are spectral lines. Colours require powers per unit area of (u, v).
             The weights of the colour curves therefore include the factor λ⁻², which converts the first to the second.
     """
@@ -92,7 +92,9 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours on the rings of one octave: the spectrum, converted by a matrix, times a factor per ring.
+    """Summand of the colours in one octave of |(u, v)|: the spectrum, converted by a matrix, times a factor per ring.
+
+    A ring is a circle of constant |(u, v)|.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -110,8 +112,8 @@ class Projection:
     Attributes:
         ws: Tabulated values of |w|, equally spaced, shape (entries,).
         w_basis: Functions of w that all colours of a table share, at the values ``ws``, shape (entries, m).
-        weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
-            colour, shape (rings, 3).
+        weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings (circles of constant |(u,
+            v)|/λ) that contribute to one colour, shape (rings, 3).
         matrices: Each matrix has the coefficients of the functions of w for each ring and basis term, shape
             (rings, terms, m). The colour at one |(u, v)| requires the rings |(u, v)|/λ from the longest visible
             wavelength to the shortest, and one ring more at each end.
@@ -130,12 +132,12 @@ class Projection:
 def make_projection(
     plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout
 ) -> Projection:
-    """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
+    """Return the weights that convert the power spectrum on the rings of a table to colours.
 
-    A plan has the numbers of a computation. If it does not set the number of functions of w, its tolerance determines
-    the number. The angle θd is half of the angle between the directions to the light and to the viewer. Because cos θd
-    = |(u, v, w)|/2, the reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The
-    integral over λ therefore includes R, and look-ups need no material.
+    A ring is a circle of constant |(u, v)|. A plan has the numbers of a computation. If it does not set the number of
+    functions of w, its tolerance determines the number. The angle θd is half of the angle between the directions to the
+    light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance R(θd, λ) of a material is a function of λ,
+    w and the radius |(u, v)| of a ring. The integral over λ therefore includes R, and look-ups need no material.
     """
     # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis functions at all visible
     # wavelengths.
@@ -189,9 +191,9 @@ def _material_products(
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
     """Approximate a material's reflectance, divided by the one in the colour curves, by sums of separable terms.
 
-    A separable term is a factor for each ring of |(u, v)| times a function of (w, λ). The absolute error of the ratio
-    is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the reflectance hardly
-    changes, share one function of (w, λ).
+    A separable term is a factor for each ring (circle of constant |(u, v)|) times a function of (w, λ). The absolute
+    error of the ratio is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the
+    reflectance hardly changes, share one function of (w, λ).
 
     Returns:
         Functions of (w, λ), each with its largest factor over all rings; and the separable terms of each octave.
@@ -212,8 +214,8 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # The outermost rings of the grid may have a larger |(u, v)| than 2, which no direction has. These rings use the
-    # reflectance at |(u, v)| = 2.
+    # The outermost rings (circles of constant |(u, v)|) of the grid may have a larger |(u, v)| than 2, which no
+    # direction has. These rings use the reflectance at |(u, v)| = 2.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -236,10 +238,10 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of the rings of one colour.
+    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] that one colour sums.
 
-    At a fixed (u, v), each ring |(u, v)|/λ of the spectrum belongs to one wavenumber. The result has the wavenumbers of
-    all rings that contribute to one colour.
+    At a fixed (u, v), each ring (circle of radius |(u, v)|/λ) of the spectrum belongs to one wavenumber. The result has
+    the wavenumbers of all rings that contribute to one colour.
     """
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
@@ -270,7 +272,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     """Return the coefficients of splines that are fitted to illuminant times colour-matching functions times material.
 
     Args:
-        rings: Number of rings per octave of the table.
+        rings: Number of rings (circles of constant |(u, v)|/λ) per octave (factor of 2) of the radius.
         illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
         lines: Whether rows of the power spectrum are powers per unit area of frequency, as ``holds_lines`` of
             :class:`SpectrumBasis` states.
@@ -283,8 +285,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must have the exact colour of white, up to rounding. The weights with which the rings of
-    # the spectrum contribute to a colour are scaled accordingly.
+    # A constant power spectrum must have the exact colour of white, up to rounding. The weights with which the rings
+    # (circles of constant |(u, v)|/λ) of the spectrum contribute to a colour are scaled accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 

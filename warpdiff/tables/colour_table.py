@@ -51,7 +51,8 @@ _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
 # directions to the light and to the viewer.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
-# Number of azimuth samples that a CPU thread processes in one launch of a kernel while a table is computed.
+# Number of azimuth samples (polar angles of (u, v)) that a CPU thread processes in one launch of a kernel while a table
+# is computed.
 _AZIMUTHS_OF_SLICE = 32
 
 
@@ -118,8 +119,8 @@ class ColourTable:
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
         """Fill the rows of some mip levels with the coefficients of splines.
 
-        A row has the colour at one ring and azimuth. ``compute`` writes the colours of one octave of a level, through
-        which the splines pass.
+        A row has the colour at one ring (circle of constant |(u, v)|) and azimuth (polar angle). ``compute`` writes the
+        colours of one octave (factor of 2) of |(u, v)| in a level, through which the splines pass.
         """
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
@@ -143,7 +144,8 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # The table is read from the cache only once, because another thread may replace the entry of the cache at any time.
+    # The colour table is read from the cache only once, because another thread may replace the entry of the cache at
+    # any time.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -213,7 +215,7 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the fields of the struct ``Colours`` by name, except those of the layout. The rows are not filled yet."""
+    """Return the fields of the struct ``Colours`` by name, except those of the layout, before rows are filled."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
     # ``lobe2`` is the variance of the peak of a diffraction order in (u, v), divided by the squared wavelength. For a
@@ -225,8 +227,8 @@ def _fields(
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Rows for all mip levels (blurred copies) are allocated now, although only level 0 is filled. On the CPU, allocated
-    # rows occupy no memory until they are written.
+    # Table rows for all mip levels (blurred copies) are allocated now, although only level 0 is filled. On the CPU,
+    # allocated rows occupy no memory until they are written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
@@ -237,7 +239,7 @@ def _fields(
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
         # ``least_uv`` is the smallest |(u, v)| of a look-up; smaller values are replaced by it. It lies above the
-        # innermost ring, because the spline of a look-up also uses the ring with the next smaller radius.
+        # innermost ring, because the spline of a look-up also uses the ring (circle) with the next smaller radius.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),

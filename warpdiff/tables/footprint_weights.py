@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 # level, whose standard deviation b doubles from level to level. The remaining variance is therefore less than (2b)² −
 # b² = 3b². Because b is at most 1.2 distances of samples, the value must exceed 3 · 1.2².
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0, it
-# is at least 0.9, the smallest number of samples per standard deviation. The weights for spectra under a window are
-# fitted to this blur.
+# Typical standard deviation of the blur of the power spectrum in a mip level (copy of the table), in distances of
+# azimuth samples. In level 0, it is at least 0.9, the smallest number of samples per standard deviation. The weights
+# for spectra under a window are fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
 # Weights of the filter that converts sampled values to coefficients of quadratic splines; the outermost are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two neighbouring samples for which the weights of taps (the samples that a look-up adds)
-# are tabulated.
+# Number of positions between two neighbouring samples of a colour table for which the weights of taps (the samples that
+# a look-up adds) are tabulated.
 _TAP_POSITIONS = 64
 # A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is the variance of
 # the whole footprint, times this number divided by n. If the number is doubled, parts become 1.4 times as wide, and
@@ -45,7 +45,7 @@ _VARIANCE_WITHIN_PARTS = 1.2
 
 @dataclass(frozen=True)
 class TapRule:
-    """Rule for the weights of taps: samples along the azimuth or the rings that are added for a Gaussian blur.
+    """Rule for the weights of taps: samples along or across a table's rings (circles) that a Gaussian blur adds.
 
     Attributes:
         radius_sigmas: Smallest extent of the taps on either side, in standard deviations of the blur.
@@ -106,7 +106,7 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of the coefficients of a spline whose sum is the spline, blurred by a Gaussian.
+    """Return the weights of spline coefficients whose weighted sum is the value of the spline, blurred by a Gaussian.
 
     The Gaussian is truncated at the outermost coefficient.
     """
@@ -121,11 +121,11 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of spline coefficients whose sum best approximates a blurred spectrum, at ``places``.
+    """Return the weights of spline coefficients whose weighted sum best approximates a blurred spectrum.
 
-    The spectrum before the blur is a Gaussian with the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum is
-    fitted to the blurred Gaussian by least squares over all positions of the Gaussian. The fitted sum has the exact
-    area, mean and variance.
+    ``places`` are the positions of the coefficients. The spectrum before the blur is a Gaussian with the standard
+    deviation ``_OWN_BLUR_SPACINGS``. The weighted sum is fitted to the blurred Gaussian by least squares over all
+    positions of the Gaussian. The fitted sum has the exact area, mean and variance.
     """
     # The weights solve the normal equations of the fit. The right-hand side of these equations contains the products of
     # each spline coefficient and the blurred Gaussian, integrated over all positions of the Gaussian.

@@ -112,7 +112,7 @@ class ColourLookup:
     def copy_with(self, plan: Plan) -> ColourLookup:
         """Return a look-up for the same range of directions by another plan (the numbers of a computation).
 
-        The look-up has its own tables.
+        The new look-up has its own colour tables.
         """
         return ColourLookup(
             self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, pitch_scales=self._pitch_scales,

@@ -32,11 +32,12 @@ _SAMPLE_SPACING_SIGMAS = 1.6
 # The spectrum is integrated along the radius, from one ring (circle) to the next. This is the smallest number of
 # samples per ring. The 99th percentile of the error was measured: 7e-4 with one sample, and 2e-5 with two samples.
 _FEWEST_DIVISIONS = 2.0
-# Radius of the innermost ring, in standard deviations of the spectrum's blur by the coherence window. The number was
-# derived from a Gaussian of this width: within the radius, it deviates from a constant by at most (1/50)²/2 = 2e-4.
+# Radius of the innermost ring (circle of constant |(u, v)|/λ), in standard deviations of the spectrum's blur by the
+# coherence window. The number was derived from a Gaussian of this width: within the radius, it deviates from a constant
+# by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Standard deviation by which the spectral lines under a light source are blurred in a table, in distances of azimuth
-# samples. Splines represent lines of this width accurately.
+# Standard deviation by which the spectral lines under a light source are blurred in a colour table, in distances of
+# azimuth samples. Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
 # Number of azimuth samples of a mip level per standard deviation of the total blur of this level along the azimuth.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
@@ -58,8 +59,8 @@ class MipLayout:
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
-        divisions: Number of spectrum samples along the radius from one ring to the next, for each octave; 0 for
-            spectral lines.
+        divisions: Number of spectrum samples along the radius from one ring (circle) to the next, for each octave; 0
+            for spectral lines.
         blurs: Standard deviation of the blur that the spectrum itself has along the azimuth [rad], for each octave of
             |(u, v)|.
         levels: Grid of |(u, v)| for each mip level.
@@ -81,12 +82,12 @@ class MipLayout:
 
     @classmethod
     def _of_window(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a coherence window, whose spectrum is smooth and is sampled."""
+        """Return the layout of a colour table for a coherence window, whose power spectrum is smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour uses up to three rings of the spectrum beyond its octave of frequencies, and the spline of a look-up
-        # uses two further rings. The outermost octave of frequencies therefore ends five rings beyond the largest
-        # frequency.
+        # A colour uses up to three rings (circles of constant frequency) beyond its octave of frequencies, and the
+        # spline of a look-up uses two further rings. The outermost octave of frequencies therefore ends five rings
+        # beyond the largest frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -106,10 +107,11 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a light source of finite size: its spectrum is a sum of lines."""
+        """Return the layout of a colour table for a light source of finite size, whose spectrum is a sum of lines."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
-        # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
+        # The grid ends three rings (circles) beyond the largest frequency, because the spline of a look-up uses these
+        # rings, too.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
         low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / polar_grid.INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
@@ -128,8 +130,8 @@ class MipLayout:
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. All further
-            # levels have the same grid in this octave.
+            # The blur of an octave of |(u, v)| doubles from mip level to mip level, up to ``_WIDEST_BLUR_RAD``. All
+            # further levels have the same grid in this octave.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -140,13 +142,13 @@ class MipLayout:
 
     @property
     def first_rows(self) -> NDArray[np.int64]:
-        """Index of the first row at azimuth 0 in each mip level and octave, shape (levels, octaves)."""
+        """Index of the first row at azimuth 0 in each mip level and octave of |(u, v)|, shape (levels, octaves)."""
         first = np.cumsum([0, *self._row_counts[:-1]]) + HALF_TAPS * self.levels[0].rings
         return np.asarray(first.reshape(len(self.levels), -1))
 
     @property
     def rows(self) -> int:
-        """Total number of rows of the table, including azimuth samples that are repeated at both ends of each ring."""
+        """Total number of rows of the table, including azimuth samples repeated at both ends of each ring (circle)."""
         return sum(self._row_counts)
 
     @property
@@ -160,7 +162,7 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the less blurred mip level from which one octave of ``level`` is computed, by a further blur.
+        """Return the less blurred mip level from which one octave (of |(u, v)|) of ``level`` is computed by a blur.
 
         The result is the most blurred level that permits an accurate further blur: the standard deviation of this blur
         is at least the distance of azimuth samples in the returned level.
@@ -172,7 +174,7 @@ class MipLayout:
 
 
 def has_mip_levels(plan: Plan) -> bool:
-    """Whether the table of a plan has mip levels, because look-ups blur over footprints or over a light source."""
+    """Whether the table of a plan has mip levels (blurred copies), for means over footprints or over a light source."""
     return plan.uses_footprints or plan.coherence.kind == "source"
 
 

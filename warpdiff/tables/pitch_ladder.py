@@ -28,15 +28,16 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Tables per factor of two of σ for a tolerance of 0.1. The error of cubic interpolation is proportional to the fourth
-# power of the step, so that the number for other tolerances follows from this one. Measured by
-# ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance; if doubled, so do the tables.
+# Number of colour tables per factor of two of the window width σ, for a tolerance of 0.1. The error of cubic
+# interpolation is proportional to the fourth power of the step, so that the number for other tolerances follows from
+# this one. Measured by ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance; if
+# doubled, so do the tables.
 _TABLES_PER_OCTAVE = 6.0
-# Least distance between the binary logarithms of two pitch scales that get tables of their own. Smaller distances would
-# be lost among the rounding errors of the logarithm in float32.
+# Least distance between the binary logarithms of two pitch scales that get colour tables of their own. Smaller
+# distances would be lost among the rounding errors of the logarithm in float32.
 _LEAST_GAP = 0.01
-# Rounding error of logarithms in float64, in steps. Without it, a range of a whole number of steps may get one table
-# more.
+# Rounding error of the logarithm of pitch scales [steps of the interpolation between tables]. Without it, a range of a
+# whole number of steps may get one table more.
 _ROUNDING = 1e-9
 
 
@@ -48,7 +49,7 @@ class PitchLadder:
         octaves: Binary logarithm of the pitch scale of which each table has the exact colours, relative to the smallest
             pitch scale of the map.
         coherences: Coherence of each table, the longest window first.
-        per_octave: Number of steps per factor of two, where a step is the unit of the interpolation.
+        per_octave: Number of steps per factor of two of the pitch scale. The steps are the unit of the interpolation.
     """
 
     octaves: tuple[float, ...]
@@ -64,20 +65,20 @@ class PitchLadder:
         places = np.log2(np.unique(pitch_scales))
         places -= places[0]
         per_octave = float(math.ceil(_TABLES_PER_OCTAVE * (0.1 / tolerance) ** 0.25))
-        # Cubic interpolation requires one more table at each end.
+        # Cubic interpolation requires one more table at each end of the range of pitch scales.
         steps = np.arange(-1, math.ceil(places[-1] * per_octave - _ROUNDING) + 2)
         octaves, least_gap = steps / per_octave, float(np.diff(places).min())
         if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
-            # The weight of a table is 0 at a distance of two steps.
+            # The weight of a table in the interpolation is 0 at a distance of two steps.
             octaves, per_octave = places, 2.0 / least_gap
-        # Tables are made for the cell with the largest pitch scale, under the window of the picture.
+        # Tables are made for the height field of the dots at the largest pitch scale, under the window of the picture.
         widths = float(coherence.sigma_um or 0.0) * 2.0 ** (places[-1] - octaves)
         windows = tuple(replace(coherence, sigma_um=float(width)) for width in widths)
         return cls(tuple(octaves.tolist()), windows, per_octave)
 
 
 class LadderLookup(ColourLookup):
-    """Look-up of the colours of dots with different pitch scales, interpolated between the tables of a ladder."""
+    """Look-up of the colours of dots with different pitch scales, interpolated between tables for several windows."""
 
     def __init__(
         self, ladder: PitchLadder, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *,
@@ -85,8 +86,8 @@ class LadderLookup(ColourLookup):
     ) -> None:  # fmt: skip
         """Prepare the look-ups in all tables; tables are computed at the first use.
 
-        ``heightfield`` is the cell with the largest pitch scale. ``plan`` is a plan for the longest window of the
-        ladder, which suffices for the others.
+        ``heightfield`` is that of the dots, at the largest pitch scale. ``plan`` is a plan for the longest coherence
+        window of all tables, which suffices for the others.
         """
         super().__init__(heightfield, plan, direction_range, device=device, threads=threads)
         self._ladder = ladder
@@ -96,7 +97,7 @@ class LadderLookup(ColourLookup):
         ]
 
     def copy_with(self, plan: Plan) -> LadderLookup:
-        """Return a look-up for the same range of directions by another plan; it has separate tables."""
+        """Return a look-up for the same range of directions by another plan (numbers of a computation)."""
         return LadderLookup(
             self._ladder, self.heightfield, plan, self._range, device=self.device, threads=self._threads
         )
@@ -109,7 +110,8 @@ class LadderLookup(ColourLookup):
 
         The length of a direction in ``to_lights`` is the pitch scale relative to the smallest one of the map.
         """
-        # The gains of all tables are written into the same array, because the calls of a slice run one after the other.
+        # The geometry factors (gains) for all tables are written into the same array, because the calls of a slice run
+        # one after the other.
         weighed = wp.empty(len(gains), dtype=wp.float32, device=self.device)
         calls = []
         for octaves, lookup in zip(self._ladder.octaves, self._lookups, strict=True):

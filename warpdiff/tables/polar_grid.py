@@ -44,11 +44,12 @@ INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
 )
-# Sizes of colour tables, as pairs: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
-# The two numbers of a pair were chosen so that the errors along the radius and along the azimuth are of similar size.
+# Sizes of colour tables, as pairs: rings per octave (factor of 2) of |(u, v)|, and azimuth samples per standard
+# deviation of the spectrum's blur. The two numbers of a pair were chosen so that the errors along the radius and along
+# the azimuth are of similar size.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
-# Order of convergence p. Searches for a table size assume that the error of a table with n rings per octave is
-# proportional to n^−p.
+# Order of convergence p. Searches for a table size assume that the error of a table with n rings per octave of |(u, v)|
+# is proportional to n^−p.
 ERROR_ORDER = 2.0
 # Distance above which neighbouring diffraction orders count as separate, in standard deviations of the peak of an order
 # in the spectrum.
@@ -65,7 +66,7 @@ MOST_MEGABYTES = 300.0
 
 @dataclass(frozen=True)
 class PolarGrid:
-    """Polar grid of a plane: rings with a constant ratio of radii, and equally spaced azimuth samples on each ring.
+    """Polar grid of a plane: rings (circles) with a constant ratio of radii, with equally spaced azimuth samples.
 
     The innermost ring has the index 0. The first sample of each ring is on the first axis of the plane, such as the u
     axis.
@@ -82,22 +83,22 @@ class PolarGrid:
 
     @property
     def nodes(self) -> int:
-        """Total number of samples of the grid, on all rings."""
+        """Total number of samples of the grid, on all rings (circles)."""
         return self.rings * sum(self.azimuths)
 
     @property
     def ring_azimuths(self) -> NDArray[np.int64]:
-        """Number of azimuth samples on each ring of the grid."""
+        """Number of azimuth samples on each ring (circle) of the grid."""
         return np.repeat(self.azimuths, self.rings)
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """Index of the first sample of each ring, followed by the total number of samples."""
+        """Index of the first sample of each ring (circle) of the grid, followed by the total number of samples."""
         return np.concatenate([[0], np.cumsum(self.ring_azimuths)])
 
     @property
     def radii(self) -> NDArray[np.float64]:
-        """Radii of the rings of the grid, shape (octaves, rings)."""
+        """Radii of the rings (circles) of the grid, shape (octaves, rings); an octave is a factor of 2 in radius."""
         octaves = np.arange(len(self.azimuths))[:, None] + np.arange(self.rings) / self.rings
         return np.asarray(np.exp(self.log_radius + octaves * math.log(2.0)))
 
@@ -111,7 +112,7 @@ class PolarGrid:
 
 
 def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: float) -> NDArray[np.float64]:
-    """Return the number of azimuth samples on rings with the radii ``radii``, a multiple of 4.
+    """Return the number of azimuth samples on rings (circles) with the radii ``radii``, a multiple of 4.
 
     Neighbouring samples are at most ``width / per_width`` apart; ``width`` is the width of the finest feature on the
     rings, in the unit of ``radii``.
@@ -139,12 +140,12 @@ def blur(coherence: Coherence) -> float:
 
 
 def ring_count(rings_per_octave: int) -> int:
-    """Return the number of rings of the spectrum that contribute to one colour."""
+    """Return the number of rings (circles of constant |(u, v)|/λ) of the spectrum that contribute to one colour."""
     return math.ceil((LOG_BLUE - LOG_RED) / math.log(2.0) * rings_per_octave) + 3
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a colour table; ``few_orders`` states that few, separate orders contribute to it."""
+    """Return the typical error of a colour table; ``few_orders``: few, separate diffraction orders contribute."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
@@ -157,7 +158,8 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
     """Return the available table sizes in ascending order.
 
-    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
+    A size is a pair: rings per octave (factor of 2) of |(u, v)|, and azimuth samples per standard deviation of the
+    spectrum's blur.
     """
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
@@ -166,15 +168,15 @@ def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
     """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None.
 
-    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur. None means
-    that no size suffices.
+    A size is a pair: rings per octave (factor of 2) of |(u, v)|, and azimuth samples per standard deviation of the
+    spectrum's blur. None means that no size suffices.
     """
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)
 
 
 def size_for_skies(plan: Plan) -> tuple[int, float]:
-    """Return the table size for look-ups under a sky, at most the size of the plan's own table.
+    """Return the size of colour tables for look-ups under a sky, at most the size of the plan's own table.
 
     A smaller table suffices for a sky, because the errors of a table change their sign between neighbouring directions
     and partly cancel in the sum over the sky.

@@ -93,9 +93,9 @@ class SpectrumSource(ABC):
         layout: Grids of the table, with mip level 0 only.
         table: Table of Fourier coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
-        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ| = |w|/λ, shape
-            (number of |κ|, lanes). The powers at these |κ| form a row of the spectrum. If powers add, the array
-            contains zeros.
+        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ| = |w|/λ, shape (number of |κ|,
+            padded number of basis functions). The powers at these |κ| form a row of the spectrum. If powers add, the
+            array contains zeros.
         zeroth: Zeroth order, which is stored separately from the rows. If amplitudes add, its array of powers is empty,
             and the rows include the zeroth order.
         phase: Angular frequency of the fastest oscillation of a power as a function of ln λ [rad per unit of ln λ].
@@ -128,12 +128,13 @@ class SpectrumSource(ABC):
 
         Args:
             samples: Result of :meth:`sampled`.
-            curves: Weights with which the rings of the spectrum contribute to X, Y and Z, on the device.
+            curves: Weights with which the rings (circles of constant |(u, v)|/λ) of the spectrum contribute to X, Y and
+                Z, on the device.
             options: Options of ``launch``, which include the device.
 
         Returns:
-            Function with three arguments: index of the octave, one of :attr:`Projection.matrices` on the device, and
-            array for the rows of the octave, to which the function writes.
+            Function with three arguments: index of the octave of |(u, v)|, one of :attr:`Projection.matrices` on the
+            device, and array for the rows of the octave, to which the function writes.
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
@@ -144,11 +145,11 @@ class SpectrumSource(ABC):
 
     @property
     def sampled_bytes(self) -> float:
-        """Size of the spectrum samples [bytes]; 0 for spectral lines, which are processed octave by octave."""
+        """Size of the spectrum samples [bytes]; 0 for spectral lines, which are added while colours are computed."""
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Return the kernels and types that convert spectrum rows to colours with ``w_basis_size`` functions of w."""
+        """Return the kernels and types that convert rows of the spectrum to colours with a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
@@ -163,11 +164,11 @@ class WindowedSpectrum(SpectrumSource):
         return spectrum_sampling.resampler(lanes, self.table.coefficients.rows.shape[2] == 1, width)
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that samples the spectrum, and the kernel that converts two octaves of it to colours."""
+        """Return the kernels that sample the spectrum and that convert two octaves of the frequency to colours."""
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
-        """Return the sampled rows of the power spectrum, ordered by octave, azimuth and ring.
+        """Return the sampled rows of the power spectrum, by octave of the frequency, azimuth and ring (radius).
 
         The result also contains, for each octave, the index of its first row and its number of azimuth samples.
         """
@@ -183,11 +184,11 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that converts samples of the spectrum, in one octave and the next octave, to colours."""
+        """Return a function that converts samples of the spectrum, in two octaves of the frequency, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Working memory for the projection to colours. Each azimuth sample has room for the values on all rings of one
-        # octave and on some rings of the next octave. On the CPU, the threads use only the beginning of this memory.
-        # The unused part of the allocation occupies no memory.
+        # Working memory for the projection to colours. Each azimuth sample has room for the values on all rings
+        # (circles) of one octave of the frequency and on some rings of the next octave. On the CPU, the threads use
+        # only the beginning of this memory. The unused part of the allocation occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -214,7 +215,7 @@ class Lines(NamedTuple):
 
 
 # Number of samples of the polar grid to which each spectral line is added. Predictions of the computing time use this
-# number. It was derived as 2 × 7 azimuth samples on each of 3 rings.
+# number. It was derived as 2 × 7 azimuth samples on each of 3 rings (circles).
 NODES_OF_LINE = 42.0
 
 
@@ -231,7 +232,7 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return two kernels: one adds spectral lines to the azimuths of a grid, one converts the sums to colours."""
+        """Return two kernels: one adds spectral lines to a polar grid, one converts the sums to colours."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
@@ -257,7 +258,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the spectral lines of one octave to a grid, and converts the sums to colours."""
+        """Return a function that adds spectral lines in one octave of |(u, v)| to a grid, and makes colours of them."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -341,8 +342,8 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         # If amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of its
         # powers is therefore empty.
         power = np.zeros(0, dtype=np.float32)
-        # Powers are interpolated over κ = w/λ from Chebyshev nodes. Their number is derived from the fastest
-        # oscillation of a power over κ.
+        # Powers |H|² of Fourier coefficients are interpolated over κ = w/λ from Chebyshev nodes. Their number is
+        # derived from the fastest oscillation of a power over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
