@@ -391,7 +391,7 @@ def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatc
 
 
 def test_interpolated_factors_serve_several_lights(monkeypatch):
-    """Interpolated energy factors must be the same for several lights together and for each light alone.
+    """Interpolated factors of the energy normalisation must be equal for several lights together and for each alone.
 
     Factors are interpolated if a light has more orders than a limit. The test sets this limit to 10 orders.
     """

@@ -53,8 +53,8 @@ def test_each_eye_sees_its_picture_alone() -> None:
         assert abs(np.corrcoef(seen[own], other[own])[0, 1]) <= 0.05
         assert seen[~own].mean() <= 0.02 * seen[own].mean()
         ratios = seen[own] / picture[own]
-        # The grating of each dot is designed for the direction from this dot to the eye. A single direction for the
-        # whole card would darken the picture towards the edges.
+        # The grating of each dot (small rectangle of the card) is designed for the direction from this dot to the eye.
+        # A single direction for the whole card would darken the picture towards the edges.
         assert np.ptp(ratios) < 0.05 * ratios.mean()
         maxima.append(ratios.mean())
     assert maxima[0] == pytest.approx(maxima[1], rel=0.02)

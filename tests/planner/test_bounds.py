@@ -1,7 +1,7 @@
 """Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it.
 
-A plan holds the numbers of a computation, such as wavelengths and terms of a series. An upper-bound plan must suffice
-for any surface.
+A call is one call of a public function, such as ``wd.reflectance``. A plan holds the numbers of a computation, such as
+wavelengths and terms of a series. An upper-bound plan must suffice for any surface.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal, and κ is w/λ.
@@ -23,7 +23,7 @@ from warpdiff.request.settings import PlanSettings, SpectralSettings
 
 
 def ratio(heightfield, lights, views, tolerance, **options):
-    """Return the error of a call's colours, compared with the float64 reference, divided by the call's tolerance."""
+    """Return the error of the colours of ``wd.reflectance``, relative to a float64 reference, over the tolerance."""
     with warnings.catch_warnings():
         # Ignore the warning that scalar diffraction is invalid for a deep surface.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -89,7 +89,8 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """The errors of reflectance maps must be within the tolerance under illuminants with narrow spectral lines.
 
-    In most directions of a map, the wavelength of a diffraction order is between two lines of the illuminant.
+    In most view directions of a reflectance map, the wavelength of a diffraction order is between two lines of the
+    illuminant.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
@@ -108,8 +109,8 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
     The bandwidth is the number of wavelength samples per unit of 1/λ. It has three parts: one for order rates (how fast
     diffraction orders pass a direction as 1/λ changes), one for heights, and a constant. The first part must be
-    proportional to the σ of the window, and the second to the heights. For Gaussian windows, both must be proportional
-    to tolerance^(−1/6).
+    proportional to the σ of the coherence window, and the second to the heights. For Gaussian windows, both must be
+    proportional to tolerance^(−1/6).
     """
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
@@ -139,8 +140,8 @@ def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavele
     band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
     wider = band_of_log / 0.38 / band
     np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
-    # In a spectrum, a diffraction order is a Gaussian of 1/λ or of ln λ. A source and a window require the same number
-    # of wavelengths per standard deviation of this Gaussian.
+    # In a spectrum, a diffraction order is a Gaussian of 1/λ or of ln λ. A light source of finite size and a coherence
+    # window require the same number of wavelengths per standard deviation of this Gaussian.
     of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 

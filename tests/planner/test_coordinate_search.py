@@ -107,8 +107,9 @@ def exhaustive(trial, start, target):
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
     """The cost of the plan that a search finds must be near the least cost of all sufficient plans.
 
-    The plan must report the errors that the search has measured. The validation error is the training error times
-    ``factor``. With a factor of 2.5 it exceeds the target, so that the search must refine its plan again.
+    The plan must report the errors that the search has measured. The error on the validation directions is the error on
+    the training directions times ``factor``. With a factor of 2.5, it exceeds the target (largest accepted error), so
+    that the search must refine its plan again.
     """
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
@@ -246,7 +247,7 @@ def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
     """The bandwidth must be doubled until the error, proportional to bandwidth⁻⁶, is at most half of the target.
 
-    The bandwidth is the number of wavelength samples per unit of 1/λ.
+    The target is the largest accepted error. The bandwidth is the number of wavelength samples per unit of 1/λ.
     """
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
@@ -340,10 +341,10 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
     """Error budgets must increase in equal steps from the error of the first plan to the target.
 
-    A search reduces one number of the plan (a coordinate) after another. The budget of a number is the limit of the
-    plan's error while this number is reduced. Few bright directions in the sample do not represent all bright
-    directions of a call well. The budgets of terms and of the neighbourhood, which are reduced first, must then
-    increase by only a tenth of an equal step. The neighbourhood must then not be reduced.
+    The target is the largest accepted error. A search reduces one number of the plan (a coordinate) after another. The
+    budget of a number is the limit of the plan's error while this number is reduced. Few bright directions in the
+    sample do not represent all bright directions of a call well. The budgets of terms and of the neighbourhood, which
+    are reduced first, must then increase by only a tenth of an equal step. The neighbourhood must then not be reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -23,7 +23,7 @@ WINDOW = wd.Coherence()
 
 
 class Case:
-    """A call with its reference: height field, directions, coherence model, and the colours it must return."""
+    """Arguments of ``wd.reflectance`` (height field, directions, coherence model), and the colours it must return."""
 
     def __init__(self, heightfield, directions, coherence=WINDOW):
         self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence

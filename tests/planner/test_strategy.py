@@ -198,8 +198,9 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     else:
         assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
     assert strategy._measured(*arguments, 0.0) is searched
-    # If all directions are dark, the upper-bound plan must be used. If the order rates of the call exceed the largest
-    # one for which that plan has enough wavelengths, a search must be used instead.
+    # If all directions are dark, the upper-bound plan must be used. If the order rates of the call (how fast orders
+    # pass its directions as 1/λ changes) exceed the largest one for which that plan has enough wavelengths, a search
+    # must be used instead.
     monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
     assert not strategy._measured(*arguments, 0.0).is_measured
     cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)

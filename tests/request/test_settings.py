@@ -1,4 +1,4 @@
-"""Settings: each field is an option of all front ends; misspelt options and invalid values raise one clear error."""
+"""Settings: each field is an option of Python, command line and viewer; misspelt or invalid ones raise one error."""
 
 import inspect
 import json

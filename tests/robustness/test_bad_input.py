@@ -71,8 +71,8 @@ SHARED = [
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
 
-# Calls with invalid values of arguments that the list above does not contain, and the expected messages. Each call gets
-# the path of an empty folder.
+# Calls with invalid values of arguments that the list ``SHARED`` does not contain, and the expected messages. Each call
+# gets the path of an empty folder.
 VALUE_ERRORS = [
     # Calls with invalid height fields, and the errors that they raise
     (lambda _: wd.HeightField([[math.nan]], 0.1), "heights_um must have at least one height, got 1 NaN"),

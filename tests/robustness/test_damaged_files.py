@@ -1,6 +1,7 @@
 """Damaged files are read, or refused with their name; no other files are opened. Each reader has valid files to damage.
 
-The files are damaged by the mutations of ``bench/dev/fuzz.py``: few in the default tests, and many in a soak test.
+The files are damaged by the mutations of ``bench/dev/fuzz.py``: few in the default tests, and many in a soak test (a
+long run of the tests with random inputs).
 """
 
 import contextlib

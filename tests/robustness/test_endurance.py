@@ -1,4 +1,4 @@
-"""Tests that run only in a soak test: memory over thousands of calls, and processes that compile simultaneously."""
+"""Tests that run only in a soak test (a long run): memory over thousands of calls, and simultaneous compilations."""
 
 import hashlib
 import os

@@ -80,7 +80,8 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     def attempt(data):
         for _ in range(3):
             fuzzed = [text for action in data.draw(one_or_two) for text in written(action, data.draw)]
-            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
+            # Hypothesis continues to draw examples (random arguments) after the time limit, so late examples are
+            # skipped.
             if seconds_left():
                 tries.number += 1
                 end(fuzzed)

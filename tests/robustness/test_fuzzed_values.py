@@ -143,10 +143,12 @@ def test_fuzzed_arguments_are_refused_by_name_or_computed(name, tries):
     @examples(*((1, 50) if name in SLOW else (3, 500)))
     @given(st.data())
     def attempt(data):
-        # Three calls per example save time, because Hypothesis needs longer for an example than most calls.
+        # Each example that Hypothesis makes calls the function three times, with other random arguments each time. This
+        # saves time, because making an example takes longer than most calls.
         for _ in range(3):
             fuzzed = {key: data.draw(strategies[key]) for key in data.draw(one_or_two)}
-            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
+            # Hypothesis continues to draw examples (random arguments) after the time limit, so late examples are
+            # skipped.
             if seconds_left():
                 tries.number += 1
                 check(name, fuzzed)

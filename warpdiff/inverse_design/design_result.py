@@ -283,7 +283,10 @@ def make_design(
 
 
 def achieved_values(surface: HeightField, targets: Sequence[Target], tilt_deg: float = 0.0) -> list[Array]:
-    """Return XYZ or efficiencies of each target, for a surface that is turned about the y axis."""
+    """Return XYZ or efficiencies of each target, for a surface that is turned about the y axis.
+
+    A target is a requested colour, or the requested efficiencies of some orders.
+    """
     angle = math.radians(tilt_deg)
     turn = np.array(
         [[math.cos(angle), 0.0, -math.sin(angle)], [0.0, 1.0, 0.0], [math.sin(angle), 0.0, math.cos(angle)]]

@@ -178,7 +178,7 @@ def design(
 
 
 def _checked_targets(targets: Sequence[Target]) -> list[Target]:
-    """Return the targets as a list; raise an error for an empty list and for other objects than targets."""
+    """Return the targets (requested colours or orders) as a list; raise an error for an empty list or other objects."""
     if not isinstance(targets, (Target, list, tuple)):
         raise ArgumentTypeError(f"{ref('targets')} must be a list of warpdiff.Target, got {type(targets).__name__}")
     result: list[Target] = [targets] if isinstance(targets, Target) else list(targets)
@@ -318,7 +318,10 @@ class _Search:
         return free._replace(x=np.minimum(free.x % cycle, top))
 
     def refined(self, candidate: _Candidate) -> _Candidate:
-        """Continue the minimisation of the loss from a start, without levels; normalise efficiencies if requested."""
+        """Continue the minimisation of the loss from a random start, without height levels.
+
+        If a target requests normalised (energy-conserving) efficiencies, they are normalised here.
+        """
         blocks = self._blocks
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS
@@ -366,7 +369,7 @@ class _Search:
         return _Candidate(start, loss, result.x[:-1], float(result.x[-1]))
 
     def stepped(self, candidate: _Candidate, rng: np.random.Generator) -> tuple[_Candidate, float]:
-        """Draw heights to levels by a penalty, round them to levels, and change the levels of single pixels.
+        """Draw pixels to the permitted height levels by a penalty, round them, and change the levels of single pixels.
 
         Return the result and its depth [µm].
         """
@@ -395,15 +398,17 @@ class _Search:
                 log_exposure=log_exposure,
                 penalty=penalty,
             )[2:]
-        # If the levels divide a full cycle of the phase, the level above the highest one is equivalent to the lowest.
+        # If the height levels of pixels divide a full cycle of the phase, the level above the highest one is equivalent
+        # to the lowest.
         indices = np.rint(x / step).astype(np.int64)
         indices = (indices % count if self._wraps else np.clip(indices, 0, count - 1)).reshape(self._blocks.pixels)
         depth = 0.5 * (low + high)
         rules: list[tuple[Pixels, Rule | None]] = [(self._blocks, None)]
         if self._limits.feature > 1 and self._pixels.pixels[0] == 1:
             rules.append((self._pixels, edge_moves(self._limits.feature)))
-        # The exchange of pixels keeps the factors from Stam's efficiencies to normalised ones constant, although they
-        # depend on the heights. It is therefore repeated with the factors of the new heights.
+        # The search that changes the levels of single pixels keeps the factors from Stam's efficiencies to normalised
+        # ones constant, although they depend on the heights. It is therefore repeated with the factors of the new
+        # heights.
         if self._is_normalised:
             rules.append(rules[-1])
         for pixels, rule in rules:

@@ -102,8 +102,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
-            # If more rings do not reduce the error, or if no larger size exists, the search increases the number of
-            # functions of w in the table. w is the normal component of the scattering vector.
+            # If more rings (circles of samples in the table) do not reduce the error, or if no larger size exists, the
+            # search increases the number of functions of w in the table. w is the normal component of the scattering
+            # vector.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -144,10 +145,11 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
 def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, explicit: Plan | None) -> int | None:
     """Return the index of the next table size to try, or None if no size is expected to suffice.
 
-    The error of the present size exceeds the target by the factor ``excess``. The order of convergence predicts the
-    first size whose error is within the target. The next size has at most twice the rings of the present size, because
-    small tables converge more slowly than the order of convergence predicts. If no size suffices, a plan that requires
-    a table (``explicit``) continues with the largest size that fits into memory and has at most twice the rings.
+    The error of the present size exceeds the target (largest accepted error) by the factor ``excess``. Rings are
+    circles of samples of the table. The order of convergence predicts the first size whose error is within the target.
+    The next size has at most twice the rings of the present size, because small tables converge more slowly than the
+    order of convergence predicts. If no size suffices, a plan that requires a table (``explicit``) continues with the
+    largest size that fits into memory and has at most twice the rings.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))

@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Safety factor. A plan (numbers of a computation) is accepted if its error on the validation set is at most the
-# tolerance divided by this factor. The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred,
-# the error over all directions exceeds the error on the validation set by more than this factor.
+# Safety factor. A plan (numbers of a computation) is accepted if its error on the validation set (sampled directions of
+# a call) is at most the tolerance divided by this factor. The factor was fitted by bench.reproduce.tolerance_sweep. In
+# one call of a hundred, the error over all directions exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
 # If a call has more directions than candidates (sampled directions of the call), this number of the brightest
 # candidates may be outliers. Relative errors have a smallest divisor, which is proportional to the luminance of bright
@@ -68,8 +68,8 @@ class Group:
 
     Attributes:
         sample: Directions of the set, and the weight of each direction in percentiles of the errors.
-        exact: Values of the directions by the reference plan, in the shape that ``Trial.run`` returns; None before
-            ``Trial.exact`` computes them.
+        exact: Values of the directions by the reference plan, whose results count as exact, in the shape that
+            ``Trial.run`` returns; None before ``Trial.exact`` computes them.
         scale: Divisor of the error of each direction, shape (rows, n): the reference value or the floor (smallest
             divisor), whichever is larger. There is one row for each pair of illuminant and floor.
         above: Whether the luminance of a direction is at least the floor, shape (rows, n).
@@ -169,7 +169,11 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether any direction has visible light: a floor of relative errors or a training value exceeds ``DARK``."""
+        """Whether any direction has visible light: a luminance above ``DARK``.
+
+        The luminances of the training directions and the floors (smallest divisors of relative errors) are compared
+        with it.
+        """
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
@@ -250,13 +254,13 @@ class Trial:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """Return the colours or spectra of a group of directions, computed by the reference plan."""
+        """Return the colours or spectra of a training or validation set, computed by the reference plan."""
         if group.exact is None:
             group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Compute the colours or spectra of a group of directions by a plan.
+        """Compute the colours or spectra of a training or validation set by a plan.
 
         Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape (1, n·m,
         1).
@@ -316,7 +320,8 @@ class Trial:
     def training_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the training set.
 
-        Bright and dim directions have separate percentiles. The result is the larger one.
+        The set is a sample of the directions of a call. Bright and dim directions have separate percentiles. The result
+        is the larger one.
         """
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
@@ -324,9 +329,9 @@ class Trial:
     def validation_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the validation set.
 
-        Bright and dim directions have separate percentiles; the result is the larger percentile. A direction is
-        excluded if diffraction orders pass it faster, as 1/λ changes, than the wavelengths of the reference plan
-        resolve. If this is true of all directions, all are included.
+        The set is a sample of the directions of a call. Bright and dim directions have separate percentiles; the result
+        is the larger percentile. A direction is excluded if diffraction orders pass it faster, as 1/λ changes, than the
+        wavelengths of the reference plan resolve. If this is true of all directions, all are included.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
@@ -344,7 +349,8 @@ def reference_luminance(
 ) -> float:
     """Return the reference luminance Y*: the 99th percentile of the luminance Y, or a median of Y if that is larger.
 
-    The median is weighted by Y. It counts only if ``with_median`` is True.
+    ``Y`` has one value for each direction of a call. The median is weighted by Y. It counts only if ``with_median`` is
+    True.
     """
     bright = _percentile(luminance, weights, PERCENTILE)
     return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright

@@ -54,6 +54,8 @@ def candidates(
 ) -> tuple[DirectionSample, NDArray[np.bool_]]:
     """Return the candidates for the training and validation sets, and a mask of the edge cases among them.
 
+    Candidates are sampled directions of a call, from which both sets are drawn.
+
     Args:
         heightfield: Height field of the call.
         direction_range: Range of the call's directions.

@@ -29,6 +29,8 @@ LIGHT = "light"
 def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[LightPart]) -> tuple[str, ...]:
     """Return the names of a picture's layers. A name such as ``"light"`` is replaced by one name for each light.
 
+    A layer is an additional array of a picture, such as the depths of its pixels.
+
     Args:
         names: Names that the caller gave; each name has been checked.
         lights: Lights of the picture.
@@ -136,8 +138,8 @@ class CentralHits:
         return self.local(self.vectors("to_view"))
 
 
-# Functions that return the values of layers, by the layer's name. Layers that depend on lights, or that show numbers of
-# geometries or materials, have no entry.
+# Functions that return the values of layers (additional arrays of a picture, such as depths), by the layer's name.
+# Layers that depend on lights, or that show numbers of geometries or materials, have no entry.
 VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
     "normal": lambda hits: hits.vectors("normal"), "tangent": lambda hits: hits.vectors("tangent"),
     "bitangent": lambda hits: hits.vectors("bitangent"), "depth": CentralHits.depths,

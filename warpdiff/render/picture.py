@@ -1,7 +1,8 @@
 """Pictures: the rays, the passes of lights and the sums of a picture on a device.
 
-A pixel begins as one ray. Refinement divides a pixel into subpixel cells, with one ray per cell; level n has 2ⁿ × 2ⁿ
-cells. A pixel shows either the mean of the colours over its footprint (the area of its filter) or the colour of points.
+A pass computes the colours under one part of a light. A pixel begins as one ray. Refinement divides a pixel into
+subpixel cells, with one ray per cell; level n has 2ⁿ × 2ⁿ cells. A pixel shows either the mean of the colours over its
+footprint (the area of its filter) or the colour of points.
 """
 
 from __future__ import annotations
@@ -58,8 +59,9 @@ _PROGRESS_OF_FIRST_RAYS = 0.3
 # may block a light) are made, which save time for many shadow rays. The value was fitted to pictures of a snake mesh,
 # which have 20 shadow rays per hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Level of the first subdivision of pixels if a surface has a grating map, whose dots change colours abruptly. Level 2
-# has 16 cells per pixel. The value was chosen because 4 cells often miss the differences of colour within a pixel.
+# Level of the first subdivision of pixels if a surface has a grating map: its dots (small rectangles) change colours
+# abruptly. Level 2 has 16 cells per pixel. The value was chosen because 4 cells often miss the differences of colour
+# within a pixel.
 _FIRST_LEVEL_OF_DOTS = 2
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. The value was chosen because
 # larger slices distribute work less evenly over threads, and smaller slices require more launches.
@@ -74,8 +76,8 @@ def load_kernels(device: wp.Device) -> None:
 class Picture:
     """Picture of a mesh with one or several surfaces, whose view and lights may change between renderings.
 
-    :meth:`set_lights` makes the passes of the lights. :meth:`render` or :meth:`render_directly` then computes the
-    colours.
+    :meth:`set_lights` makes the passes, which compute the colours under each light. :meth:`render` or
+    :meth:`render_directly` then computes the colours.
     """
 
     def __init__(
@@ -115,8 +117,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # If pixels show means and there are several lights, the light that is rendered at the moment has separate sums.
-        # Other pictures add colours directly to the sums over all lights.
+        # If pixels show means and there are several lights, the light that is rendered at the moment has separate sums
+        # of colours. Other pictures add colours directly to the sums over all lights.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -274,8 +276,9 @@ class Picture:
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookups.uses_footprints)
         if len(self._passes) > 1:
-            # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
-            # so that they are all rendered at the tolerance of the preview first.
+            # Each light is refined to its final tolerance before the next light begins. A preview, a picture at a
+            # larger tolerance, requires all lights, so that they are all rendered at the tolerance of the preview
+            # first.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
                 policy = RefinementPolicy(preview, least_level, self._refine)

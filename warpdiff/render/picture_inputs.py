@@ -72,7 +72,7 @@ class SurfaceInputs:
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and reflects light by its base colour and material.
         unit: Factor that makes the colours of the surface relative to the picture's mirror; None if they are already.
-        grating_map: Map of the surface's dots, whose ``reference`` is the height field of ``evaluation``; or None.
+        grating_map: Map of one grating per small rectangle; its ``reference`` is ``evaluation.heightfield``; or None.
     """
 
     evaluation: Evaluation
@@ -188,7 +188,7 @@ class PictureInputs:
         lights: Lights as the user gave them.
         surfaces: Inputs of each surface by the key of its part (such as the name of a geometry); the key is ``""`` if
             the mesh has one height field.
-        parts: Parts that the lights consist of (lobes, discs and skies), in the unit of the picture.
+        parts: Parts that the lights consist of (lobes, discs and skies), with powers relative to the picture's mirror.
     """
 
     heightfield: SurfacesOfMesh

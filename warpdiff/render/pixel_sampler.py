@@ -141,14 +141,18 @@ class PixelSampler:
         self._sample, self._lobe = sample, index
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Return scattering vectors, directions to the light and geometry factors of the last lobe, one per pixel."""
+        """Return scattering vectors, directions to the light and geometry factors of the last lobe, one per pixel.
+
+        A lobe is a direction to a light, or a Gaussian of such directions.
+        """
         scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
         return scattering_vectors, to_lights, gains
 
     def _of_dots(self, surface: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]] | None:
         """Return the directions of the last lobe in the frames of a surface's dots; None without a grating map.
 
-        A dot of a grating map rotates a height field and scales its lengths by the pitch scale.
+        A grating map divides a surface into small rectangles (dots). A dot rotates a height field and scales its
+        lengths by the pitch scale.
 
         Directions to the light are scaled to unit length. A plan that is chosen for them therefore meets its tolerance
         for the dots with the smallest pitch scale, whose diffraction orders are the narrowest.
@@ -184,8 +188,8 @@ class PixelSampler:
             if heightfield is not None
         ]
         lobes = list(self.lobes())
-        # If pixels show points, only the first rays of each pixel are used. If pixels show means over their filter,
-        # several rays per pixel represent the directions of the later subpixel cells.
+        # If pixels show points (single directions), only the first rays of each pixel are used. If pixels show means
+        # over their filter, several rays per pixel represent the directions of the later subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -237,7 +241,7 @@ class _Measured:
         directions: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]],
         parts: int,
     ) -> None:
-        """Add the directions of one lobe.
+        """Add the directions of one lobe: a direction to a light, or a Gaussian of such directions.
 
         A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of such samples
         that will be joined to one: the more there are, the fewer directions each sample has.

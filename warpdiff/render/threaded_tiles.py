@@ -131,7 +131,7 @@ class ThreadedTiles:
         """Do nothing; only the executor on a GPU has work at the end of the refinement under a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a kernel call over ``elements``, which are pixels or tiles, in slices."""
+        """Launch a kernel call over ``elements``, which are pixels or tiles (subdivided pixels), in slices."""
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
@@ -172,7 +172,7 @@ class ThreadedTiles:
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of the tiles of a group whose level is ``level``, and add their colours to its sums."""
+        """Shade the cells of a group's tiles (subdivided pixels) at ``level``, and add their colours to its sums."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)

@@ -50,7 +50,7 @@ class TileBuffers:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
+        samples: Samples of one lobe (direction to a light) at the hits; the samples of the next lobe overwrite them.
         colours: Colours of the rays, added over the lobes of a light.
         unserved_gain: Geometry factors of directions that a colour table does not contain.
         tiles: For each level, an array of the pixels whose cells are in the buffers. Only the array of the level that

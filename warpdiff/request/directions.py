@@ -95,8 +95,9 @@ def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
     A pass computes the directions of one part of the lights, such as a disc. The call has ``parts`` passes, and this
     pass has ``count`` illuminated directions.
     """
-    # The sample of a call is divided equally among the ``parts`` passes. Each pass contributes at least one direction.
-    # If the call has few directions, all of them are used.
+    # The sample of a call is divided equally among ``parts`` passes, each of which computes one part of the lights,
+    # such as a disc. Each pass contributes at least one direction. If the call has few directions, all of them are
+    # used.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 

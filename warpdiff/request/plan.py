@@ -46,9 +46,9 @@ MIN_RINGS, MAX_RINGS = 4, 512
 # `W_BASIS_STEP`, and at most `MOST_W_BASIS`. Kernels are compiled separately for each number of functions that occurs.
 # A smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
-# Smallest and largest accepted value of each field that states for which directions and wavelengths a plan is valid.
-# The limit 2.001 is for components of the scattering vector: each is the sum of components of two unit vectors, plus
-# rounding.
+# Smallest and largest accepted value of each field of a plan that states for which directions and wavelengths a plan is
+# valid. The limit 2.001 is for components of the scattering vector: each is the sum of components of two unit vectors,
+# plus rounding.
 _SCOPE = {
     **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
     **dict.fromkeys(("max_order_rate", "height_range_um"), (0.0, validation.MOST)),

@@ -148,7 +148,7 @@ def test_a_path_is_read_from_a_file(tmp_path):
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     """Frames under all kinds of light must equal those of ``shade``, also if a worker process renders them.
 
-    The arrays of a sky must be the same objects in all shots.
+    The arrays of a sky must be the same objects in all shots (lights and camera of each frame).
     """
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)

@@ -79,7 +79,7 @@ class Rotation:
 
 
 def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit vector from the point ``centre`` to a directional or point light, the first light of a shot."""
+    """Return the unit vector from the point ``centre`` to a directional or point light, the first light of a frame."""
     if isinstance(light, DirectionalLight):
         return np.array(light.to_light)
     if isinstance(light, PointLight):

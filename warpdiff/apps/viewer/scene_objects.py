@@ -106,7 +106,8 @@ class SceneObjects:
         options |= {"device": self.device.alias, "threads": self.threads, "refine": False}
         view = page_bodies.framed(surface, 16, 12)
         if scene.dots:
-            # A plan for a map depends on the dots, so that the cached plan of its cell would not suffice.
+            # A plan (method, number of wavelengths and so on) for a grating map depends on its dots, small rectangles
+            # with one grating each. The cached plan of a single grating would not suffice.
             dots = wd.GratingMap(heightfield, **dict(scene.dots))
             return wd.Renderer(surface, dots, lights, view, tolerance=scene.tolerance, **options)
         made: list[wd.Renderer] = []

@@ -223,6 +223,8 @@ class Studio:
     def _next(self) -> tuple[Session, PageRequest, int]:
         """Wait for the next picture to draw, and return its page, request and stage.
 
+        A stage is one of the successive pictures that answer a request of a page.
+
         Previews precede refined pictures, and pages take turns.
         """
         with self._changed:
@@ -352,13 +354,14 @@ class Studio:
             session.stage += 1
             session.send(description | result, data)
 
-        # Without an environment, one call of the renderer draws all remaining stages, each of which refines the
-        # previous one. With an environment, each stage is a call of its own, because stages sample different numbers of
-        # directions.
+        # Without an environment, one call of the renderer draws all remaining stages (pictures of decreasing
+        # tolerance), each of which refines the previous one. With an environment, each stage is a call of its own,
+        # because stages sample different numbers of directions.
         last = len(stages) - 1 if index and scene.sky is None else index
         previews = {stage.tolerance: send for stage in stages[index:last] if stage.tolerance is not None}
         renderer.draw(lights, view, progress=progress, previews=previews)
-        # The renderer skips intermediate stages if no pixel needs refinement. The last stage is sent in any case.
+        # The renderer skips intermediate stages (pictures of larger tolerances) if no pixel needs refinement. The last
+        # stage is sent in any case.
         session.stage = last
         send()
         if not index:
