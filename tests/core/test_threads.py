@@ -183,7 +183,7 @@ def test_plans_are_made_on_one_thread(monkeypatch):
 
 
 def taken_by_others(work):
-    """Return the CPU time that all other threads use during a call, relative to that of the calling thread."""
+    """Return the CPU time that all other threads use during ``work()``, relative to that of the calling thread."""
     work()
 
     def of_others():

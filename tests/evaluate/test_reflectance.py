@@ -1,4 +1,4 @@
-"""Reflectance by the direct sum, maps and the absolute BRDF, compared with references and closed forms.
+"""Reflectance by the direct sum, reflectance maps and the absolute BRDF, compared with references and closed forms.
 
 ωi and ωr are the unit vectors to the light and to the viewer, with the angles θi and θr from the normal. w is the
 normal component of the scattering vector −ωi − ωr. σ is the standard deviation of the coherence window.

@@ -28,7 +28,10 @@ SECOND = 0.1 + 0.7 * ((X // 8) % 2)
 
 
 def _luminances(grating_map: wd.GratingMap, eye: tuple[float, float, float]) -> NDArray[np.float32]:
-    """Return the luminance of each dot of the card for an eye, by the ray of a pixel near the middle of the dot."""
+    """Return the luminance of each dot of the card for an eye, by the ray of a pixel near the middle of the dot.
+
+    Dots are small rectangles of the card, each with a grating.
+    """
     view = wd.View(eye, (0.0, 0.0, 0.0), fov_y_deg=9.0, width=240, height=180)
     image = wd.shade(
         wd.meshes.card(WIDTH, WIDTH * ROWS / COLUMNS), grating_map, wd.DirectionalLight(TO_LIGHT), view,

@@ -119,7 +119,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "a length per count in the key": (f"Height scale [nm/digit] = 0.25\n{SIZE}{table(4.0 * HEIGHTS)}", HEIGHTS, {}),
     "a length of a count": (f"1 LSB = 0.5 nm\n{SIZE}{table(2.0 * HEIGHTS)}", HEIGHTS, {}),
     "a factor of one": (f"{SIZE}{UNIT}Z scale: 1.000\n{table()}", HEIGHTS, {}),
-    # Lists of points with different names of columns.
+    # Lists of points x, y, z with different names of columns.
     "rows and columns of points": ("row,col,z [nm]\n" + points("{j},{i},{z}"), HEIGHTS, {"pitch_um": PITCH}),
     "lines and pixels of points": ("line;pixel;z [nm]\n" + points("{j};{i};{z}"), HEIGHTS, {"pitch_um": PITCH}),
     "Zeile and Spalte": ("Zeile;Spalte;Höhe [nm]\n" + points("{j};{i};{z}"), HEIGHTS, {"pitch_um": PITCH}),

@@ -10,7 +10,8 @@ from warpdiff.core import files
 from warpdiff.heightfield.writers.height_levels import levels_of, rectangles_of
 
 RNG = np.random.default_rng(5)
-# Heights of eight levels with islands, holes and single samples, and with a pitch that is no whole number of nm.
+# Height field with eight different heights, with islands, holes and single samples, and with a pitch that is no whole
+# number of nm.
 STEPS = RNG.integers(0, 8, (7, 9)) * 0.0375
 STEPS[0, 0], STEPS[-1, -1] = 0.0, 7 * 0.0375
 PITCH = (0.2, 0.123456)
@@ -77,7 +78,7 @@ def test_layout_measures_features_in_the_file(tmp_path):
     square = np.zeros((6, 10))
     square[1:3, 2:5] = 0.1
     square[3, 5] = 0.1  # touches the first feature at a corner
-    square[0, 0] = square[0, 9] = 0.1  # continues at the opposite edge: 2 samples wide, 1 high
+    square[0, 0] = square[0, 9] = 0.1  # feature that continues at the opposite edge: 2 samples wide, 1 high
     table = wd.measure_layout(wd.HeightField(square, (0.5, 0.25)).save(tmp_path / "a.gds"))
     row = dict(zip(table.columns, table[1], strict=True))
     assert row["layer"] == 1

@@ -52,7 +52,8 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
     lights = np.stack([x, np.sqrt(1.0 - x * x - z * z), z], axis=1)
     lights, views = np.repeat(lights, 2, axis=0)[:100], np.repeat(lights * [1.0, -1.0, 1.0], 2, axis=0)[:100]
-    # Two dark directions with a larger κ are added, so that the plan must cover a wide range of κ.
+    # Two dark directions with a larger κ are added, so that the plan (numbers of the computation) must cover a wide
+    # range of κ.
     lights[-2:], views[-2:] = [0.076, 0.064, 0.995], [-0.345, 0.588, 0.732]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     views /= np.linalg.norm(views, axis=1, keepdims=True)

@@ -18,8 +18,8 @@ import warpdiff as wd
 from warpdiff.planner import coordinate_search, cost_model
 from warpdiff.planner.coordinate_search import Coordinate
 
-# Tolerance of the call, and largest error of a plan that the search accepts: the tolerance divided by the safety factor
-# 1.6.
+# Tolerance of the tested computation, and largest error of a plan that the search accepts: the tolerance divided by the
+# safety factor 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 # Ratio of successive bandwidths (wavelengths per unit of 1/λ) that a search tries, 4 steps per factor of 2; and number
 # of terms of a series per SIMD register.
@@ -212,8 +212,8 @@ def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_we
 ):
     """If the validation set has all directions of a call, the predicted error must be 1.6 times the measured error.
 
-    The validation set has the directions on which the error is measured. If it has only a part of them, the factor must
-    be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
+    The validation set has the directions on which the error of a plan is measured. If it has only a part of them, the
+    factor must be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
     """
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)

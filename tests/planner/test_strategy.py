@@ -178,7 +178,7 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     """A table of colours must be used if its error is within the tolerance, or if the caller requests a table.
 
     For pixels with a footprint, colours are means over a part of the table. Their errors are smaller than those of
-    single points, so that the error is not multiplied by the safety factor of 1.6.
+    single points of the table, so that the error is not multiplied by the safety factor of 1.6.
     """
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))

@@ -14,7 +14,8 @@ from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
-# Seed and indices of the tested calls. Large calls, whose references are expensive, are tested by ``tolerance_sweep``.
+# Seed and indices of the tested random calls. Calls with many directions, whose exact colours are expensive, are tested
+# by ``tolerance_sweep``.
 SEED = 11
 LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
 UP = np.array([0.0, 0.0, 1.0])
@@ -114,7 +115,8 @@ def test_looser_tolerances_never_cost_more(count, rng):
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
         directions = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
-    # Plans with tight tolerances for the whole hemisphere require several seconds each, and are skipped.
+    # Making plans (numbers of wavelengths and terms) with small tolerances for the whole hemisphere requires several
+    # seconds each. They are skipped.
     tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
     plans = [wd.plan(heightfield, *directions, tolerance=t) for t in tolerances]
     costs = [plan.multiply_adds for plan in plans]
@@ -141,7 +143,7 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 
 
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
-    """A call must get more than the smallest set of wavelengths if its error is too large.
+    """The plan of a call must have more than the smallest set of wavelengths if the error of the call is too large.
 
     For the tested call, the error with the smallest set is three times the tolerance.
     """

@@ -102,7 +102,7 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
 
 
 def test_directions_with_extreme_angles_are_edge_cases(rng):
-    """Directions with extreme angles must be edge cases, which always become candidates of the planner.
+    """Directions with extreme angles must be edge cases, which always become candidates for sampled directions.
 
     They have the most grazing lights or views, or the largest or smallest |(u, v)|, the tangential part of the
     scattering vector.

@@ -29,6 +29,8 @@ WIDE_SOURCE = wd.Coherence("source", angular_diameter_deg=4.0)
 def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: bool = True) -> wd.GratingMap:
     """Return a grating map with gratings (dots) that differ in direction, depth and pitch.
 
+    Dots are small rectangles of a surface, each with a grating.
+
     Most dots diffract light of ``LIGHT`` into ``VIEW``.
     """
     rng = np.random.default_rng(seed)
@@ -162,7 +164,7 @@ def test_default_coherence_of_maps_is_a_source() -> None:
         "dot 0 0": "source", "dot 0 1": "averaged",
     }  # fmt: skip
     # The plan (method, number of wavelengths and so on) of a picture with a grating map must be accepted in a second
-    # call, and must give the same picture.
+    # call of ``shade``, and must give the same picture.
     again = wd.shade(scene, surfaces, LIGHT, VIEW, plan=image.plan, footprint=False)
     np.testing.assert_array_equal(again.xyz, image.xyz)
 

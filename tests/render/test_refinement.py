@@ -30,7 +30,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan whose table of colours is so fine that averages over pixel areas cause most of the error."""
+    """Return a plan with a colour table that is so fine that averages over pixel areas cause most of the error."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -135,7 +135,7 @@ def test_more_cells_are_never_worse(truth, fingers, table):
         ]
         for one, more in itertools.pairwise(result):
             for quantile in (50.0, 90.0, 99.0):
-                # Errors below 1e-3 are mainly errors of the table, which more cells per pixel cannot reduce.
+                # Errors below 1e-3 are mainly errors of the colour table, which more cells per pixel cannot reduce.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 

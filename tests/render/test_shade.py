@@ -246,7 +246,8 @@ def test_many_samples_per_pixel_change_only_the_rim():
     """
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
-    # With a short coherence window, a flat surface has one broad lobe, so that colours change little within a pixel.
+    # With a short coherence window, a flat surface reflects light into one broad lobe (range of directions), so that
+    # colours change little within a pixel.
     options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
     light = wd.DirectionalLight((-0.3, 0.6, 1.2))
     one = wd.shade(disc, FLAT, light, view, **options)

@@ -47,8 +47,9 @@ BODY = scene(left="gold", middle="silver", right="gold")
 PARTS = np.repeat(np.arange(3), 16)
 
 
-# The plan of one part is used for a picture in which all parts have this surface. The other parts have directions for
-# which the plan was not made. The warning about these directions is expected.
+# The plan (numbers of the computation) of one part of the mesh is used for a picture in which all parts have this
+# surface. The other parts have directions for which the plan was not made. The warning about these directions is
+# expected.
 @pytest.mark.filterwarnings("ignore:plan is used beyond")
 @pytest.mark.parametrize("lights", [LIGHT, [LIGHT, wd.PointLight((0.0, 1.0, 3.0))]], ids=["one", "two"])
 @pytest.mark.parametrize("points", [False, True], ids=["means", "points"])

@@ -1,4 +1,4 @@
-"""Tests that run only in a soak test (a long run): memory over thousands of calls, and simultaneous compilations."""
+"""Tests that run only in a soak test (a long run): memory over thousands of calls, concurrent compilations."""
 
 import hashlib
 import os

@@ -23,7 +23,8 @@ resource = pytest.importorskip("resource", reason="memory limits require POSIX")
 
 # Functions that need seconds even with valid arguments.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers", "report"}
-# Time limit of a call in seconds, including the compilation of kernels. A longer call counts as hanging.
+# Time limit of a call of a fuzzed function in seconds, including the compilation of kernels. A longer call counts as
+# hanging.
 MOST_S = 60
 # Memory limit of a call in bytes, above the process's memory. Small calls need less, and large requests fail.
 MOST_MORE_BYTES = 1 << 30
@@ -111,7 +112,7 @@ def test_fuzzed_functions_include_methods_and_functions_of_submodules():
 
 
 def check(name, fuzzed):
-    """Check that a call returns finite numbers, or raises an error that names one of its arguments."""
+    """Check that a call of ``name`` returns finite numbers, or raises an error that names one of its arguments."""
     message, names = "", {name.rpartition(".")[2], *strategies_of(name)}
     with warnings.catch_warnings(), little_memory(), no_hang():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)

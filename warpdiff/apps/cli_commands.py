@@ -49,7 +49,7 @@ def render(options: argparse.Namespace) -> None:
     background = None
     if environment is not None and options.environment_behind:
         # With a constant index of refraction, the colours of a picture are relative to the reflectance at normal
-        # incidence. The environment that is visible behind the body is therefore divided by this reflectance, too.
+        # incidence. The environment that is visible behind the mesh is therefore divided by this reflectance, too.
         normal, _ = check_reflection(settings.get("ior"), settings["material"])
         background = environment.background(view) / np.float32(normal)
     _save(image, options, background)

@@ -1,4 +1,4 @@
-"""Reflectance for arrays of light and view directions: XYZ, spectra, the absolute BRDF and hemispherical maps."""
+"""Reflectance for arrays of light and view directions: XYZ, spectra, the absolute BRDF, maps over all views."""
 
 from __future__ import annotations
 

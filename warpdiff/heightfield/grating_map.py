@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     # a grey image; or a tuple of this path and the values for black and white.
     DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
 
-# Largest turn (rotation of a dot) [degrees] that a grating map accepts: a hundred full turns. Larger numbers are
-# probably no angles in degrees.
+# Largest turn (rotation of a dot, a small rectangle) [degrees] that a grating map accepts: a hundred full turns. Larger
+# numbers are probably no angles in degrees.
 _MOST_TURN_DEG = 36_000.0
 # Range of the depth scales and pitch scales of a grating map, the factors of the cell's heights and lengths. Depth
 # scales may also be 0. A number beyond the range is probably a length instead of a factor.
@@ -41,11 +41,12 @@ LEAST_SCALE, MOST_SCALE = 1e-3, 1000.0
 # Largest ratio of two pitch scales (factors of the cell's lengths) in a map of gratings. The value is limited by
 # memory: the number of azimuth samples in the table of power spectra is proportional to this ratio.
 MOST_PITCH_RATIO = 4.0
-# Values of black and white in an image whose pixels are the turns [degrees] or depth scales of the dots of a grating
-# map. The value 180° was chosen because a symmetric grating has the same grooves after a rotation by 180°.
+# Values of black and white in an image whose pixels are the turns [degrees] or depth scales of the dots (small
+# rectangles) of a grating map. The value 180° was chosen because a symmetric grating has the same grooves after a
+# rotation by 180°.
 _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
-# Measured peak memory while a map of gratings is made [bytes per dot]: turns and scales in float64, four numbers in
-# float32 for kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
+# Measured peak memory while a grating map is made [bytes per dot (small rectangle)]: turns and scales in float64, four
+# numbers in float32 for kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
 
 
@@ -246,8 +247,8 @@ class GratingMap(ReadOnlyArrays):
             )
         places = np.stack([columns[name] for name in _PLACES])
         sides = places.max(axis=1) + 1.0
-        # Each dot of the map occurs once in the file if there are as many lines as dots, and no two lines have the same
-        # row and column.
+        # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no two
+        # lines have the same row and column.
         is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
         if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
             raise ArgumentValueError(

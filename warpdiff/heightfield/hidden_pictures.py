@@ -23,15 +23,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Number of depth scales (factors of the heights of a dot) at which the power of the first order is tabulated. The value
-# was chosen so that the error of linear interpolation between them is below 1e-4 of the largest power.
+# Number of depth scales (factors of the heights of a dot, a small rectangle of the card) at which the power of the
+# first order is tabulated. The value was chosen so that the error of linear interpolation between them is below 1e-4 of
+# the largest power.
 _DEPTHS = 513
 # Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. The angular
-# diameter of the sun (0.53°) blurs diffraction orders. With half of this angle, each eye would also see the dots of the
-# other picture.
+# diameter of the sun (0.53°) blurs diffraction orders. With half of this angle, each eye would also see the dots (small
+# rectangles) of the other picture.
 _LEAST_ANGLE_DEG = 2.0
 # Smallest component along the normal of the card, for unit vectors to the eyes and to the light. The value is limited
-# because kernels treat directions with a smaller component as below the horizon, where dots are black.
+# because kernels treat directions with a smaller component as below the horizon, where the dots (small rectangles) of
+# the card are black.
 _LEAST_ELEVATION = 1e-6
 
 
@@ -113,7 +115,10 @@ def _aimed(
     pictures: NDArray[np.float64], eyes: NDArray[np.float64], to_light: NDArray[np.float64], cell: HeightField,
     width: float, wavelength_um: float,
 ) -> GratingMap:  # fmt: skip
-    """Return the grating map whose dots diffract their first order to the eyes; the arguments are already checked."""
+    """Return the grating map whose dots diffract their first order to the eyes; the arguments are already checked.
+
+    Dots are small rectangles of the card, each with a grating.
+    """
     rows, columns = pictures.shape[1:]
     row, column = np.indices((rows, columns))
     of_dot = (row + column) % 2

@@ -54,9 +54,9 @@ _PENALTIES = (10.0, 100.0, 1000.0, 10_000.0)
 # Number of random starts of a search that are continued after their first iterations, those with the least loss. The
 # value was chosen because the third start hardly ever gives the best design.
 _CONTINUED = 2
-# If the user states levels but no depth, the depth of the pixels is adjusted within this range. It is relative to the
-# depth at which the levels divide a full cycle of the phase of the reflected light. The best depth is inside the range:
-# the loss is larger at both of its ends.
+# If the user states height levels but no depth, the depth of the pixels is adjusted within this range. It is relative
+# to the depth at which the levels divide a full cycle of the phase of the reflected light. The best depth is inside the
+# range: the loss is larger at both of its ends.
 _DEPTH_RANGE = 0.8, 1.2
 # Largest depth of pixels [µm]. The value is limited because scalar diffraction does not describe deeper pixels.
 _DEEPEST_UM = 10.0
@@ -265,13 +265,13 @@ class _Search:
         self._rows: list[tuple[int, str, int, float]] = []
 
     def history(self) -> Table:
-        """Return a table with a row per stage of each random start: the number of evaluations, and the loss."""
+        """Return a table with a row per stage of each random start: number of evaluations of the loss, and the loss."""
         names = ("start", "stage", "evaluations", "loss")
         return Table(dict(zip(names, map(np.array, zip(*self._rows, strict=True)), strict=True)))
 
     @property
     def _wraps(self) -> bool:
-        """Whether heights that differ by a full cycle of the phase are equivalent for all targets.
+        """Whether heights that differ by a full cycle of the phase are equivalent for all targets (colours or orders).
 
         The cycle is the height that changes the phase of the reflected light by 2π. Colours have no common cycle,
         because they are sums over wavelengths. With levels, the levels must also divide the cycle, so that the level
@@ -288,7 +288,7 @@ class _Search:
 
     @property
     def _is_normalised(self) -> bool:
-        """Whether a target requests normalised efficiencies, which are scaled so that they conserve energy."""
+        """Whether a target of the design requests normalised efficiencies, which are scaled to conserve energy."""
         return any(target.optics.energy != "stam" for target in self._targets)
 
     @property

@@ -268,7 +268,7 @@ def places_of(target: Target, surface: HeightField | Outline) -> NDArray[np.int6
 
 
 class silenced(warnings.catch_warnings):  # noqa: N801 (a context, like its base class)
-    """Context that hides the library's warnings, because those about trial surfaces do not concern the user."""
+    """Context that hides the library's warnings, which concern surfaces that are only tried and not the result."""
 
     def __enter__(self) -> None:
         """Ignore warnings."""

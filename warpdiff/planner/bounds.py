@@ -39,17 +39,17 @@ if TYPE_CHECKING:
 # that have only weak orders could exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
 # Smallest Gaussian weight, as a share of the tolerance, of a Fourier coefficient in the sum of the light of a
-# direction. Coefficients with a smaller weight are excluded. The key is True if the powers of Fourier coefficients add,
-# and False if their amplitudes add. The entry for powers was derived from the zeroth order, whose peak has the power 1.
-# If all directions of a call are far from this peak, they may be darker than the peak by a factor of 1e-5. Errors are
-# relative to at least 1e-3 of the luminance of these directions. The product of both factors is 1e-8. The entry for
-# amplitudes was derived as the square root of the entry for powers, 1e-4, divided by 100 as a margin. If the entries
-# were doubled, the errors of calls with only dark directions would exceed the tolerance, because tails of the zeroth
-# order would be missing.
+# direction. Coefficients with a smaller weight are excluded. The key of an entry is True if the powers of Fourier
+# coefficients add, and False if their amplitudes add. The entry for powers was derived from the zeroth order, whose
+# peak has the power 1. If all directions of a call are far from this peak, they may be darker than the peak by a factor
+# of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions. The product of both factors is
+# 1e-8. The entry for amplitudes was derived as the square root of the entry for powers, 1e-4, divided by 100 as a
+# margin. If the entries were doubled, the errors of calls with only dark directions would exceed the tolerance, because
+# tails of the zeroth order would be missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# Least Gaussian weight of Fourier coefficients, as a share of the tolerance, for plans that were not tested on sampled
-# directions. The number was derived from calls with only dark directions, whose luminance may be as small as 1e-10 of
-# that of a mirror (DARK).
+# Least Gaussian weight of Fourier coefficients, as a share of the tolerance, for plans (numbers of computations) that
+# were not tested on sampled directions. The number was derived from calls with only dark directions, whose luminance
+# may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require. The
 # number was fitted for the illuminants D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4

@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Largest number of repairs of a plan whose error on the validation set is too large. A repair refines each coordinate
-# (a parameter, such as the number of terms) of the plan separately, and uses the best of the resulting plans. The first
-# repair refines by one step. Each further repair refines by twice as many steps as the repair before. The value was
-# chosen so that a search tries fewer than fifty plans.
+# Largest number of repairs of a plan whose error on the validation set (sampled directions of a call) is too large. A
+# repair refines each coordinate (a parameter, such as the number of terms) of the plan separately, and uses the best of
+# the resulting plans. The first repair refines by one step. Each further repair refines by twice as many steps as the
+# repair before. The value was chosen so that a search tries fewer than fifty plans.
 _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
 # 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
@@ -110,8 +110,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         # directions that check the plan) contains such directions, this error becomes visible only at the end of a
         # search. A method that expands the amplitudes H does not have this error.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
-    # The predicted error of the plan is divided among its sources, such as truncation and rounding, in proportion to
-    # the errors that the search has measured for these sources of error.
+    # The predicted error of the plan (numbers of the computation) is divided among its sources, such as truncation and
+    # rounding, in proportion to the errors that the search has measured for these sources of error.
     share = predicted_error(error, plan, trial) / sum(errors.values())
     return replace(
         plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
@@ -135,7 +135,8 @@ def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
 def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: float) -> tuple[Plan, float]:
     """Refine a plan until its error on the validation set is at most ``target``; return the plan and this error.
 
-    The validation set is a sample of the directions of a call; it checks the plan that a search has found.
+    The target is the largest accepted error. The validation set is a sample of the directions of a call; it checks the
+    plan that a search has found.
     """
     trial.update_floors(plan)
     error = trial.validation_error(plan)
@@ -165,7 +166,7 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
 
 
 def _cost(plan: Plan, trial: Trial) -> float:
-    """Return the predicted cost of evaluating directions by a plan [multiply-adds per direction]."""
+    """Return the predicted cost of evaluating a direction by a plan, the numbers of a computation [multiply-adds]."""
     return cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates)
 
 
@@ -206,8 +207,8 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     ]
     if plan.coherence.kind != "replicas":
         # In a few directions, nearly all light belongs to the tail of a bright diffraction order, far from the peak of
-        # the order, and the training set may not contain such directions. The search therefore never excludes Fourier
-        # coefficients whose Gaussian weight is at least FLOOR times the tolerance.
+        # the order, and the training set, a small sample of the directions, may not contain them. The search therefore
+        # never excludes Fourier coefficients whose Gaussian weight is at least FLOOR times the tolerance.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
@@ -310,11 +311,11 @@ def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
     """Refine a plan until its error on the training set is at most half of ``target``, or as small as possible.
 
-    The training set is a sample of the directions of a call. Return the refined plan and its error. An upper-bound plan
-    needs this in two cases. First, its method may add powers of Fourier coefficients. Coefficients that vanish like a
-    high power of κ = w/λ are then differences of large terms, which cancel in float32. A method that adds amplitudes
-    does not have this error. Second, the number of wavelengths of an upper-bound plan is limited. It is too small for
-    very tall surfaces, and for light sources near the horizon.
+    The target is the largest accepted error. The training set is a sample of the directions of a call. Return the
+    refined plan and its error. An upper-bound plan needs this in two cases. First, its method may add powers of Fourier
+    coefficients. Coefficients that vanish like a high power of κ = w/λ are then differences of large terms, which
+    cancel in float32. A method that adds amplitudes does not have this error. Second, the number of wavelengths of an
+    upper-bound plan is limited. It is too small for very tall surfaces, and for light sources near the horizon.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:

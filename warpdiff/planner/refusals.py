@@ -165,7 +165,7 @@ def warn_of_theory(plan: Plan) -> None:
 
 
 def warn_of_darkness() -> None:
-    """Warn that all results of a call are 0, because the light or the viewer of each direction is below the horizon."""
+    """Warn that all results are 0, because the light or the viewer is below the horizon for each pair of directions."""
     warn(
         f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
         "directions are vectors away from the surface, in its frame with z along the normal"

@@ -56,8 +56,8 @@ if TYPE_CHECKING:
 # finds, for each kind of coherence. The numbers were fitted: they are medians of 32 random calls
 # (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search for a cheap plan, expressed as a number of directions. In the time of a search, the plan that it
-# finds could evaluate this number of directions. The number was fitted to 32 random calls.
+# Cost of a search for a cheap plan (numbers of a computation), expressed as a number of directions. In the time of a
+# search, the plan that it finds could evaluate this number of directions. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
 # If the caller selects a method that adds powers, a trial (an evaluation of sampled directions) measures the rounding
 # error of this method in float32. The trial is made only for calls with at least this number of directions. The number
@@ -308,7 +308,7 @@ def _measured(
 
 
 def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return a cheap, inaccurate plan, which only serves to find the bright directions of a call."""
+    """Return a cheap, inaccurate plan (numbers of a computation), which only finds the bright directions of a call."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
     # The numbers of an upper-bound plan suffice for any surface. To find bright directions, half of the wavelengths of

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 
 # A search for the smallest sufficient colour table first tries the smallest one whose expected error is at most this
-# share of the tolerance. The share was fitted to the planning times of 32 calls
-# (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first table would miss the tolerance in half of
-# the calls, and another table would have to be computed.
+# share of the tolerance. The share was fitted to the planning times of 32 calls of ``wd.reflectance`` and similar
+# functions (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first table would miss the tolerance
+# in half of the calls, and another table would have to be computed.
 _FIRST_SHARE = 0.35
 # A search for a colour table tries a larger one only if the present table has reduced the error enough: to at most this
 # number times the least error of the tables before. In addition, the present error must be at most twice the error that
@@ -117,7 +117,8 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
     If a table is ``needed``, the result is a middle size instead of None.
     """
     # The expected errors are larger in two cases: if diffraction orders are far apart, and if few validation directions
-    # are bright. In the second case, the validation set misses bright directions of the call.
+    # (sampled directions of the call) are bright. In the second case, the validation set misses bright directions of
+    # the call.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -130,8 +131,8 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
     """Return the plan of a colour table with the errors and costs that are predicted for this table.
 
-    The errors are predicted from ``error``, which a trial has measured on the validation set. ``table_cost`` is the
-    cost of computing the table [multiply-adds].
+    The errors are predicted from ``error``, which a trial has measured on the validation set, sampled directions of a
+    call. ``table_cost`` is the cost of computing the table [multiply-adds].
     """
     predicted = predicted_error(error, plan, trial)
     return replace(

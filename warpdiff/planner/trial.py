@@ -50,9 +50,9 @@ _LUCKY_BRIGHTEST = 4
 # Least luminance that counts as light, as a share of the luminance of a perfect mirror. Light with a smaller luminance
 # is invisible.
 DARK = 1e-10
-# An error of the reference plan, or of basis functions that are fitted to Fourier coefficients, is neglected if it is
-# below this share of the tolerance. The share was chosen so that such an error is small compared with the errors that a
-# trial measures.
+# An error of the reference plan (numbers of an accurate computation), or of basis functions that are fitted to Fourier
+# coefficients, is neglected if it is below this share of the tolerance. The share was chosen so that such an error is
+# small compared with the errors that a trial measures.
 NEGLIGIBLE_SHARE = 1e-2
 # Evaluation method of the reference plan, against which errors are measured. It expands the amplitudes of Fourier
 # coefficients in a series. In float32, amplitudes are accurate even for coefficients that vanish like a high power of κ
@@ -237,8 +237,9 @@ class Trial:
         """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed values."""
         if plan.coherence.adds_powers:
             # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
-            # plan therefore includes Fourier coefficients up to a large distance from each direction. At this distance,
-            # the truncated tail of the zeroth order is negligible even compared with the dark directions.
+            # plan, whose results count as exact, therefore includes Fourier coefficients up to a large distance from
+            # each direction. At this distance, the truncated tail of the zeroth order is negligible even compared with
+            # the dark directions.
             needed = NEGLIGIBLE_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
@@ -247,14 +248,20 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Compute the floors (smallest divisors of relative errors) again, by a more accurate plan."""
+        """Compute the floors (smallest divisors of relative errors) again, by a more accurate plan.
+
+        A plan holds the numbers of a computation, such as the number of wavelengths.
+        """
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """Return the colours or spectra of a training or validation set, computed by the reference plan."""
+        """Return the colours or spectra of a training or validation set, computed by the reference plan.
+
+        Both sets are samples of the directions of a call. The results of the reference plan count as exact.
+        """
         if group.exact is None:
             group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
@@ -262,8 +269,8 @@ class Trial:
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
         """Compute the colours or spectra of a training or validation set by a plan.
 
-        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape (1, n·m,
-        1).
+        Both sets are samples of the directions of a call. Return colours XYZ, shape (illuminants, n, 3), or for spectra
+        reflectances ρ at m wavelengths, shape (1, n·m, 1).
         """
         arrays = group.scattering_vectors, group.to_lights, group.gains
         # The directions are divided into two slices per thread, so that all threads end at about the same time.

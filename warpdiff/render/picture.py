@@ -149,7 +149,8 @@ class Picture:
         previous passes, because a recorded CUDA graph reads these arrays.
         """
         before: list[LightPass | None] = [*self._passes, *[None] * (len(parts) + 1)]
-        # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
+        # If a light is not accepted, making its pass (computation of its colours) raises an error here, and the passes
+        # of the previous lights stay in use.
         passes = [part.make_pass(self.context) for part in parts]
         plain = self.context.plain
         if plain is not None and plain.emits and passes:
@@ -214,7 +215,8 @@ class Picture:
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
         """Return the illuminants of a lobe with the materials that they illuminate, by finish and spectrum.
 
-        A finish is a surface with one of its materials.
+        A lobe is a direction to a light, or a Gaussian of such directions. A finish is a surface with one of its
+        materials.
         """
         return self._passes[index.light].illuminated[index.lobe]
 
@@ -271,8 +273,8 @@ class Picture:
                     calls, self.rays.size, slice_size=lookups.slice_size, progress=share, **self.rays.options
                 )
             return
-        # The callables of previews are called by the host between launches. A recorded graph is launched without the
-        # host, so it has no previews.
+        # The callables of previews (pictures at larger tolerances) are called by the host between launches. A recorded
+        # graph is launched without the host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookups.uses_footprints)
         if len(self._passes) > 1:

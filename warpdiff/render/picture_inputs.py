@@ -132,9 +132,9 @@ class SurfaceInputs:
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
         """Return the user's plan (numbers of the computation), or choose a plan for the measured directions.
 
-        Lights with an extent require a plan with a table of colours. If no table meets the tolerance for lobes with an
-        extent, the plan has the best table. For skies, and for lights under which all measured directions are dark, the
-        plan has the smallest table that is expected to suffice.
+        Lights with an extent require a plan with a table of colours. If no table meets the tolerance for lobes (parts
+        of lights) with an extent, the plan has the best table. For skies, and for lights under which all measured
+        directions are dark, the plan has the smallest table that is expected to suffice.
         """
         request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
@@ -249,7 +249,7 @@ class PictureInputs:
 
     @property
     def plain(self) -> dict[str, bool] | None:
-        """Whether each surface is plain, by the key of its part; None if the mesh has one height field."""
+        """Whether each surface is plain, by the name of its mesh part; None if the mesh has one height field."""
         if not isinstance(self.heightfield, Mapping):
             return None
         return {key: own.is_plain for key, own in self.surfaces.items()}
@@ -461,7 +461,7 @@ def _checked_surface(key: object, value: object) -> Surface | None:
 
 
 def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> PictureSettings:
-    """Return the options of the call, in which the options of a surface replace those of the same name."""
+    """Return the options of the picture, in which the options of a surface replace those of the same name."""
     material = settings.material.get(key) if isinstance(settings.material, Mapping) else settings.material
     plan = settings.plan.get(key) if isinstance(settings.plan, Mapping) else settings.plan
     ior = settings.ior

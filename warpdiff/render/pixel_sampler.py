@@ -36,14 +36,14 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """Index of a light in the list of passes, and index of one of its lobes (directions or Gaussians of directions)."""
+    """Index of a light in the list of lights, and index of one of its lobes (directions or Gaussians of directions)."""
 
     light: int
     lobe: int
 
 
 class PixelSampler:
-    """Sampler that traces one ray for each pixel, and samples one lobe of a light at the hits.
+    """Sampler that traces one ray for each pixel, and samples one lobe of a light (a direction) at the hits.
 
     Attributes:
         samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
@@ -69,7 +69,8 @@ class PixelSampler:
     def set_lights(self, passes: Sequence[LightPass]) -> None:
         """Set the passes of the lights.
 
-        Hits of rays remain valid. Light samples at the hits are discarded, because they belong to the previous lights.
+        A pass computes the colours under one part of a light. Hits of rays remain valid. Light samples at the hits are
+        discarded, because they belong to the previous lights.
         """
         self._passes, self._lobe = passes, None
         if any(light_pass.has_directions for light_pass in passes) and not self.samples.spectral_gains.size:
@@ -198,8 +199,8 @@ class PixelSampler:
         parts = len(lobes) * (measured if self._means else 1)
         for sample in range(measured):
             for index in lobes:
-                # If pixels show means, the first measured ray passes through the pixel centre, like the ray of level 0
-                # in the picture.
+                # If pixels show means, the first measured ray passes through the pixel centre, like the single ray of
+                # an undivided pixel in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 directions = self.directions()
                 for of_surface in surfaces:
@@ -219,7 +220,7 @@ class PixelSampler:
 
 @dataclass
 class _Measured:
-    """Directions to the light and to the viewer on one surface, collected ray by ray and lobe by lobe.
+    """Directions to the light and to the viewer on one surface, collected for each ray and each lobe of a light.
 
     Attributes:
         heightfield: Height field of the surface.

@@ -178,7 +178,8 @@ def _render(
         inputs = replace(inputs, parts=parts)
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
-    # Light from a sky comes from the whole hemisphere. Plans must then cover all directions, and none are measured.
+    # Light from a sky comes from the whole hemisphere. Plans (numbers of computations) must then cover all directions,
+    # and none are measured.
     has_sky = not all(part.has_lobes for part in inputs.parts)
     plans, lookups = inputs.planned(None if has_sky else picture.measure_directions(inputs.heightfields))
     collected = xyz_by_part if parts else None

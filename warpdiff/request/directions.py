@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 # Largest number of directions that the planner samples from the directions of a call. The planner tries plans (numbers
 # of a computation) on the sampled directions. If the number was doubled, planning would require more time.
 MOST_SAMPLED = 8192
-# If a call has fewer directions than this, the planner tries plans on all of them. Otherwise it samples at most half of
-# them.
+# If a call has fewer directions than this, the planner tries plans (numbers of a computation) on all of them. Otherwise
+# it samples at most half of them.
 _SAMPLED_FROM = 4096
-# Random seed that selects the sampled directions. It is arbitrary; with another seed, plans differ slightly.
+# Random seed that selects the sampled directions. It is arbitrary; with another seed, the planner selects slightly
+# different numbers of wavelengths and terms.
 _SEED = 2
 
 

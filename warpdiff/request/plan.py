@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 # Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
-# Largest size of a file that is read as a plan [bytes]. A plan has about 1 kB. A much larger file is therefore not a
-# plan, and raises an error.
+# Largest size of a file that is read as a plan (numbers of a computation) [bytes]. A plan has about 1 kB. A much larger
+# file is therefore not a plan, and raises an error.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"

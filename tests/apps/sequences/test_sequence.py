@@ -78,7 +78,8 @@ def test_a_sweep_moves_from_one_direction_to_the_other_at_constant_speed():
 def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     lamp, sky = wd.PointLight((0.1, 2.0, 0.0), power=3.0), wd.Environment.clear_sky((1.0, 1.0, 0.0))
     disc = dataclasses.replace(LIGHT, angular_diameter_deg=3.0)
-    # The point light moves along a quarter circle around the target, at its initial distance.
+    # The point light moves along a quarter circle around the target (point in the middle of the view), at its initial
+    # distance.
     shots = wd.light_sweep([lamp, disc], VIEW, (0.0, 0.0, 5.0), count=3)
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]

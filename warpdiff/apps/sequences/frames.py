@@ -111,7 +111,7 @@ def draw_frame(
 
 
 # Renderer and shots (lights and camera of each frame) of the sequence that this worker process drew last, by the key of
-# the sequence.
+# the sequence, a hash of all inputs.
 _sequences: dict[str, tuple[FrameRenderer, Sequence[Shot]]] = {}
 _making = threading.Lock()
 
@@ -172,8 +172,8 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # At this point, no worker has the pickle of renderer and shots any more. Dask cannot recompute data that
-            # was sent from here, so that the next attempt sends the pickle again.
+            # At this point, no worker has the pickle of renderer and shots (lights and cameras of the frames) any more.
+            # Dask cannot recompute data that was sent from here, so that the next attempt sends the pickle again.
             if attempt == _RETRIES:
                 raise
         finally:

@@ -74,7 +74,7 @@ class Rotation:
                 "or let the light stay"
             )
         degrees = light.rotation_deg + math.copysign(1.0, self.axis[1]) * math.degrees(self.angle)
-        # The rotated environment is a copy that shares the radiance maps of the original.
+        # The rotated environment light is a copy that shares the radiance maps of the original.
         return with_settings(light, math.remainder(degrees, 360.0), light.scale, light.directions)
 
 

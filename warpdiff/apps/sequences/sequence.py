@@ -246,7 +246,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
-    """Read the manifest of a folder: the key and the exposure of its frames; return {} if the folder has no frames.
+    """Read the manifest of a folder, the hash of the inputs and the exposure of its frames; return {} without frames.
 
     Args:
         folder: Folder of the frames.

@@ -217,7 +217,8 @@ def camera_path(
         try:
             rows = _between(rows, count)
         except ValueError:
-            # SciPy raises an error if the slope between two rows exceeds the largest number of float64.
+            # SciPy raises an error if the slope between two rows (key frames) of a camera path exceeds the largest
+            # number of float64.
             raise ArgumentValueError(
                 f"{ref('path')}: numbers of {str(path)!r} are too large for positions of a camera"
             ) from None

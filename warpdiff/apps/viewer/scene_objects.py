@@ -136,6 +136,7 @@ def _bytes_of(renderer: wd.Renderer) -> float:
 def _illuminants(scene: Scene) -> tuple[str, ...]:
     """Return texts that identify the spectra of a scene's lights, including those of an environment and its sun."""
     named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    # The spectra of an environment depend on its file. Those of a clear sky do not depend on the position of the sun.
+    # The spectra of an environment light depend on its image file. Those of a clear sky do not depend on the position
+    # of the sun.
     paths = () if scene.sky is None else (operand for operand in scene.sky.operands if isinstance(operand, str))
     return named if scene.sky is None else (*named, scene.sky.function, *paths)

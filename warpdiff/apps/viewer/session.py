@@ -58,9 +58,9 @@ _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 _SCALES = (1.0, 0.75, 0.5, 0.375)
 # Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` while the user drags.
 _LEAST_PIXELS = 320 * 240
-# The median time of the last `_TIMED` previews predicts the time of the next preview. The size of previews increases
-# only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the size would change
-# back and forth.
+# The median time of the last `_TIMED` previews (unrefined pictures) predicts the time of the next preview. The size of
+# previews increases only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the
+# size would change back and forth.
 _TIMED, _HEADROOM = 5, 0.8
 # Width and height of the reflectance map [pixels]. The size is limited because twice the width and height require four
 # times the time.
@@ -146,7 +146,7 @@ class Studio:
         # Part of the time does not depend on the number of pixels, so that the square root predicts better than the
         # number itself.
         self._times: deque[float] = deque(maxlen=_TIMED)
-        # Number of pixels of the last preview.
+        # Number of pixels of the last preview (unrefined picture).
         self._last_pixels = math.inf
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
@@ -354,7 +354,7 @@ class Studio:
             session.stage += 1
             session.send(description | result, data)
 
-        # Without an environment, one call of the renderer draws all remaining stages (pictures of decreasing
+        # Without an environment light, one call of the renderer draws all remaining stages (pictures of decreasing
         # tolerance), each of which refines the previous one. With an environment, each stage is a call of its own,
         # because stages sample different numbers of directions.
         last = len(stages) - 1 if index and scene.sky is None else index
@@ -443,7 +443,7 @@ class Studio:
             illuminant=light.illuminant, device=self._objects.device.alias, threads=self._objects.threads,
             progress=progress, **options,
         )  # fmt: skip
-        # The map has its own automatic exposure and no background.
+        # The reflectance map has its own automatic exposure and no background.
         shown = {name: value for name, value in display.items() if name not in ("exposure", "background")}
         pixels = encoding.displayed(disc, exact=False, **shown)
         session.send(message | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))

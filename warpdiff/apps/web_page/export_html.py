@@ -351,6 +351,6 @@ def _filled(header: dict[str, Any], arrays: Arrays, title: str) -> str:
         "HEADER": json.dumps(header).replace("<", "\\u003c"), "DATA": arrays.base64(),
         **{name: folder.joinpath(file).read_text(encoding="utf-8") for name, file in _PARTS.items()},
     }  # fmt: skip
-    # All placeholders are replaced in one pass. A text that looks like a placeholder in an inserted part is therefore
-    # not replaced.
+    # All placeholders are replaced in one pass. A text in an inserted array or script that looks like a placeholder is
+    # therefore not replaced.
     return re.sub("@([A-Z_]+)@", lambda match: filling[match[1]], page)

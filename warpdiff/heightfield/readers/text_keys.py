@@ -12,7 +12,7 @@ Axis = Literal["x", "y", ""]
 
 # Matches a word that may be a unit of length, with both Unicode characters of µ.
 UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
-# Matches the unit in a key, such as "Width (µm)", "X length in µm" or "Size X/µm".
+# Matches the unit in the key of a header line, such as "Width (µm)", "X length in µm" or "Size X/µm".
 IN_KEY = re.compile(
     rf"[\[(]\s*(?P<bracket>{UNIT})\s*(?P<per>/\s*(?:pixel|pix|px|point|sample))?\s*[\])]"
     rf"|(?:\s*/\s*|\s+in\s+)(?P<word>{UNIT})(?=\W*$)"
@@ -45,8 +45,8 @@ _PITCHES = _names(
     "xy justierung|dxy|xy step|xy pitch|camera res|camera resolution|pixelgröße|pixelabstand|punktabstand",
     "taille de pixel|tamaño de píxel|dimensione pixel|tamanho do pixel",
 )
-# Keys that state a pitch only if they also name an axis. Without an axis, "step" and "pitch" may state the step of the
-# focus along z.
+# Keys of header lines that state a pitch (distance of samples) only if they also name an axis. Without an axis, "step"
+# and "pitch" may state the step of the focus along z.
 _PITCHES_OF_AXIS = _names("d|δ|step|step size|pitch|increment|sampling|interval|pixel")
 _OWN_PITCHES: dict[str, Axis] = {"pixel width": "x", "pixel height": "y"}
 _OF_ROWS = re.compile(r"(?:line|row)s? (?=spacing|distance|pitch|step)")
@@ -58,8 +58,8 @@ _COUNTS: dict[str, Axis] = {
     **dict.fromkeys(("h", "rows", "nrows", "lines", "number of rows", "number of lines", "num rows", "numrows"), "y"),
     **dict.fromkeys(("vertical", "vertikal", "zeilen"), "y"),
 }
-# Keys that state numbers of samples: along an axis if they also name this axis, otherwise along both axes. The keys
-# "n", "res" and "dim" must name an axis.
+# Keys of header lines that state a number of samples: along an axis if they also name this axis, otherwise along both
+# axes. The keys "n", "res" and "dim" must name an axis.
 _COUNTS_OF_AXIS = _names(
     "n|res|dim|pixel|pixels|points|samples|resolution|number of pixels|number of points|image size|size|grid",
     "data points",
