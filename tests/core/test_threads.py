@@ -189,7 +189,8 @@ def taken_by_others(work):
     def of_others():
         return time.process_time() - time.thread_time()
 
-    # Threads of the linear-algebra library stay active for a short time after a call, so wait until they are idle.
+    # Threads of the linear-algebra library stay active for a short time after a computation, so wait until they are
+    # idle.
     while (before := of_others()) and (time.sleep(0.05) or of_others() - before > 1e-3):
         pass
     before, begin = of_others(), time.thread_time()

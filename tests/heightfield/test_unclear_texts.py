@@ -39,8 +39,8 @@ def points(form: str = "{x:.1f}\t{y:.1f}\t{z}", noise: float = 0.0) -> str:
 
 
 EMPTY_FIRST = np.hstack([np.full((9, 1), np.nan), HEIGHTS])
-# Text files that are read: the text, the expected heights in µm from the top of the picture, and the options of
-# ``load``.
+# Unclear text files that are read correctly: the text, the expected heights in µm from the top of the picture, and the
+# options of ``load``.
 READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     # Texts with thousands separators and decimal signs in numbers.
     "thousands and decimals in a size": (f"X Size: 6,000.0 nm\nY Size: 3,600.0 nm\n{UNIT}{table()}", HEIGHTS, {}),

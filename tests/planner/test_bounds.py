@@ -62,7 +62,7 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [slow(3.0, "HP2"), (5.5, "FL12")])
 def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
-    """Tall steps must meet the tolerance in the mirror direction, under illuminants with narrow lines.
+    """Tall steps must meet the tolerance in the mirror direction, under illuminants with narrow spectral lines.
 
     The spectra of tall steps oscillate quickly with the wavelength. Both the oscillation and the narrow lines require
     many wavelengths.
@@ -122,9 +122,9 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicated patches (kind "replicas"), the first part of the bandwidth is a number of wavelengths per
-    # diffraction order of the patch that passes a direction while λ changes. It must be proportional to
-    # tolerance^(−1/4).
+    # For replicated patches (kind "replicas"), the first part of the bandwidth (number of wavelength samples) is a
+    # number of wavelengths per diffraction order of the patch that passes a direction while λ changes. It must be
+    # proportional to tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)

@@ -54,7 +54,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Return the three errors that a plan's numbers of terms, of neighbours and of wavelengths cause."""
+        """Return the three errors that a plan's numbers of terms, neighbouring coefficients and wavelengths cause."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])
@@ -96,8 +96,9 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # Among plans with the same number of terms and the same neighbourhood, the plan with the smallest sufficient
-        # bandwidth has the least cost. It is the last sufficient plan of this loop.
+        # Among plans (numbers of computations) with the same number of terms and of neighbouring Fourier coefficients,
+        # the plan with the smallest sufficient bandwidth has the least cost. It is the last sufficient plan of this
+        # loop.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least
@@ -115,8 +116,8 @@ def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, s
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Bisection must try at most 20 plans in total: it searches 4 numbers of terms, 9 neighbourhoods, and three parts of
-    # the bandwidth with 13 values each.
+    # Bisection must try at most 20 plans in total: it searches 4 numbers of terms, 9 numbers of neighbouring
+    # coefficients, and three parts of the bandwidth with 13 values each.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured

@@ -116,7 +116,7 @@ def test_fixed_neighbours_and_wavelength_steps_fail_for_some_patch_sizes():
 
 
 # Tests of large and small |(u, v)|. Far from the mirror direction, 81 wavelengths are too few. Near the mirror
-# direction, one wavelength per order is too few.
+# direction, one wavelength per diffraction order is too few.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, slow(0.7), 1.98])
@@ -250,7 +250,7 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, calls with a window between height samples must be accurate, or warn, or be refused.
+    """Close to the Nyquist limit, results for a window between height samples must be accurate, warn, or be refused.
 
     Close to the limit, a direction requires Fourier coefficients beyond the limit, which are copies of coefficients
     below it. For a coherence window centred between height samples, the copies have wrong phases.

@@ -34,7 +34,7 @@ def check(case: Configuration, count: int = 400) -> None:
     """
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
-    # The chosen directions are sorted by brightness, the brightest first.
+    # The chosen directions of the call are sorted by brightness, the brightest first.
     places = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
     chosen, weights = chosen[places], weights[places]
     figure = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
@@ -95,7 +95,8 @@ def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
     """
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
-    # The grating diffracts into the xz-plane. Most views are in the yz-plane and dark; a few are near the first order.
+    # The grating diffracts into the xz-plane. Most view directions are in the yz-plane and dark; a few are near the
+    # first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
     views /= np.linalg.norm(views, axis=1)[:, None]

@@ -121,8 +121,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # The call has 1,005 directions, of which 20 (2 %) are bright. The 99th percentile of the luminance is therefore the
-    # luminance of these bright directions.
+    # The tested call has 1,005 directions, of which 20 (2 %) are bright. The 99th percentile of the luminance is
+    # therefore the luminance of these bright directions.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     # If the weight of each bright direction is reduced to a quarter, the bright directions have 0.5 % of the total
@@ -236,8 +236,8 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # Candidates are the directions from which both sets are drawn. This call is small, so that all of its directions
-    # are candidates, and there is one luminance floor. In larger calls the brightest candidates may be outliers; a
-    # second floor is then computed without them.
+    # Candidates are the directions from which the training and the validation set are drawn. This call is small, so
+    # that all of its directions are candidates, and there is one luminance floor. In larger calls the brightest
+    # candidates may be outliers; a second floor is then computed without them.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

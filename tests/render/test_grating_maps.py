@@ -155,8 +155,9 @@ def test_default_coherence_of_maps_is_a_source() -> None:
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == wd.Coherence("source")
-    # The coherence of a grating map is a light source by default. It must not change the coherence of other surfaces.
-    # The colours of a picture are relative to a perfect mirror; the coherence must not change this reference either.
+    # The coherence of a grating map is a light source by default. A map must not change the coherence of other
+    # surfaces. The colours of a picture are relative to a perfect mirror; the coherence must not change this reference
+    # either.
     scene, _, _ = parts_of(wd.GratingMap(SINE, turn_deg=[[0.0, 0.0]]), wd.Coherence())
     surfaces = {"dot 0 0": grating_map, "dot 0 1": SINE}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, **options)
@@ -170,13 +171,16 @@ def test_default_coherence_of_maps_is_a_source() -> None:
 
 
 def test_maps_of_several_parts_are_independent() -> None:
-    """Each part of a mesh must have its own grating map, and a part without a map must not be affected."""
+    """Each part of a mesh must have its own grating map, and a part without a map must not be affected.
+
+    A grating map divides a surface into small rectangles with one grating each.
+    """
     scene, _, tangents = parts_of(wd.GratingMap(SINE, turn_deg=np.zeros((1, 3))), wd.Coherence())
     fields = [_map(FINGERS, (3, 4), pitch=False), _map(FINGERS, (2, 5), seed=1, pitch=False), FINGERS]
     options: dict[str, Any] = {"tolerance": 0.01, "footprint": False, "coherence": wd.Coherence(sigma_um=5.0)}
     surfaces = {f"dot 0 {column}": field for column, field in enumerate(fields)}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # First and last column of each part in the picture, one pixel inside of the edges of the part.
+    # First and last column of pixels of each mesh part in the picture, one pixel inside of the edges of the part.
     half = VIEW.width / VIEW.height * 4.0 * np.tan(np.radians(6.0))
     edges = (np.linspace(-0.5, 0.5, 4) / half + 1.0) * VIEW.width / 2.0
     for index, (key, field) in enumerate(surfaces.items()):

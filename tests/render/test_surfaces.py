@@ -76,8 +76,8 @@ def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, 
         if points:
             np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
         else:
-            # Colours are interpolated in a table. Its extent depends on the directions of all parts with the surface.
-            # The tables of both pictures are therefore slightly different.
+            # Colours are interpolated in a table. The extent of the table depends on the directions of all parts with
+            # the surface. The tables of both pictures are therefore slightly different.
             assert (
                 np.percentile(relative_errors(image.xyz[2:-2, inside].reshape(-1, 3), expected.reshape(-1, 3)), 99.0)
                 <= OPTIONS["tolerance"]

@@ -33,8 +33,8 @@ def rough() -> wd.HeightField:
 
 
 def test_a_plan_covers_the_range_of_its_directions(rough, rng):
-    # The range of directions of a plan does not depend on its method. Plans for the method "direct" are tested, because
-    # they need no search and are made quickly.
+    # The range of directions of a plan does not depend on its method. Plans (numbers of computations) for the method
+    # "direct" are tested, because they need no search and are made quickly.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -78,8 +78,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
     for plans in (
         [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
-        # With many directions and large tolerances, the method "auto" would use tables of colours. Plans with tables
-        # have other numbers than plans that sample wavelengths.
+        # With many directions and large tolerances, the method "auto" would use tables of colours. Plans (numbers of
+        # computations) with tables have other numbers than plans that sample wavelengths.
         [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
     ):
         for name in ("terms", "wavelengths", "multiply_adds"):
@@ -308,8 +308,8 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # The plan is made for only three directions. Its numbers are therefore upper bounds, because a search would take
-    # longer than it saves.
+    # The plan (numbers of the computation) is made for only three directions. Its numbers are therefore upper bounds,
+    # because a search would take longer than it saves.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive

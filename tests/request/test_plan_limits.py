@@ -32,8 +32,8 @@ def deep(height_um: float) -> wd.HeightField:
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # The second tested call has no directions, so that the plan is for the whole hemisphere. It requires a search,
-    # which is slow because it compiles a kernel for each number of terms.
+    # The second tested call of ``wd.plan`` has no directions, so that the plan is for the whole hemisphere. It requires
+    # a search, which is slow because it compiles a kernel for each number of terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )

@@ -106,7 +106,7 @@ print(json.dumps(result))
 
 
 def copied(folder, first="pigment: Strength", field="pigment: Annotated"):
-    """Copy the package with one additional field in a class of settings.
+    """Copy the package with one additional field in a class of settings (options of public functions).
 
     Args:
         folder: Folder of the copy.

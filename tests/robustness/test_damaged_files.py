@@ -92,7 +92,7 @@ def test_every_registered_and_public_reader_has_a_corpus():
 
 
 def _with_member(data, name, old, new):
-    """Return an archive with a replacement of bytes in one of its members, and with correct checksums."""
+    """Return an archive with a replacement of bytes in one of its files, and with correct checksums."""
     stream = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(stream, "w") as target:
         for member in source.namelist():

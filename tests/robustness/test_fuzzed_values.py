@@ -21,17 +21,18 @@ import warpdiff as wd
 
 resource = pytest.importorskip("resource", reason="memory limits require POSIX")
 
-# Functions that need seconds even with valid arguments.
+# Public functions that need seconds even with valid arguments.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers", "report"}
 # Time limit of a call of a fuzzed function in seconds, including the compilation of kernels. A longer call counts as
 # hanging.
 MOST_S = 60
-# Memory limit of a call in bytes, above the process's memory. Small calls need less, and large requests fail.
+# Memory limit of a call of a fuzzed function in bytes, above the process's memory. Small calls need less, and calls
+# that require much memory fail.
 MOST_MORE_BYTES = 1 << 30
 
 
-# Class of each argument that is an object. A call may refuse the object because of one of its fields, so the message
-# may name a field of this class.
+# Class of each argument that is an object. The function may refuse the object because of one of its fields, so the
+# message may name a field of this class.
 PARTS_OF = {
     "heightfield": "HeightField", "coherence": "Coherence", "light": "DirectionalLight", "lights": "DirectionalLight",
     "view": "View", "direction": "View", "plan": "Plan", "self": "HeightField",
@@ -45,7 +46,7 @@ def strategies_of(name):
     return strategies | ({"self": fuzz.OBJECTS[FUZZED_OWNERS[owner]]} if owner in FUZZED_OWNERS else {})
 
 
-# For each class of results, a function that lists the arrays of numbers in a result.
+# For each class of results of public functions, a function that lists the arrays of numbers in a result.
 NUMBERS_OF = {
     np.ndarray: lambda array: [array] if array.dtype.kind == "f" else [], wp.array: lambda array: [array.numpy()],
     (float, np.floating): lambda number: [np.array(number)],

@@ -80,7 +80,7 @@ class LruCache(Generic[_T]):
 
     @property
     def nbytes(self) -> float:
-        """Total size of all values [bytes]."""
+        """Total size of all values in the cache [bytes]."""
         with _lock:
             return sum(self._bytes_of(value) for value in self._values.values())
 

@@ -383,8 +383,8 @@ def _normalised(
             result[part] = mirrors[part] * weights / (mirrors[part] @ weights)
         else:
             matrices.append(_OrderMatrix(heightfield, light, part, orders[part], views[part], wavelength_um))
-        # The matrices of many directions to the light share one set of Fourier transforms of the height field, which
-        # saves time.
+        # The matrices of order efficiencies of many directions to the light share one set of Fourier transforms of the
+        # height field, which saves time.
         if matrices and (part is parts[-1] or sum(matrix.size for matrix in matrices) > _MOST_TOGETHER):
             indices = np.concatenate([matrix.indices for matrix in matrices])
             w = np.concatenate([matrix.w.ravel() for matrix in matrices])

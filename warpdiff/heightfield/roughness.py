@@ -153,7 +153,7 @@ class Roughness:
         return "\n".join(f"{parameter.name:<4} {parameter}" for parameter in self.parameters)
 
     def table(self) -> Table:
-        """Return a table with a row per parameter; NaN if a parameter has no value or no standard error.
+        """Return a table with a row per roughness parameter; NaN if a parameter has no value or no standard error.
 
         Examples:
             >>> import warpdiff as wd

@@ -138,8 +138,8 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
 
 def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
     """Return the factor by which linear colours are multiplied before display, by the options and the luminances."""
-    # The automatic factor of a nearly black picture may be so large that float32 overflows. The factor is therefore
-    # limited.
+    # The automatic exposure factor of a nearly black picture may be so large that float32 overflows. The factor is
+    # therefore limited.
     factor = shown.exposure or min(auto_exposure(luminances, shown.display), validation.MOST)
     return float(factor * 2.0**shown.exposure_stops)
 

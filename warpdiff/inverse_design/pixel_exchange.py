@@ -144,7 +144,7 @@ class PixelExchange:
         Args:
             goal: Loss of the targets, with the factors from Stam's efficiencies to normalised ones.
             profile: Profile whose pixels are exchanged.
-            count: Number of levels.
+            count: Number of height levels.
         """
         surface = profile.surface(profile.start)
         self._goal, self._shape, self._count = goal, profile.pixels, count
@@ -180,7 +180,7 @@ class PixelExchange:
         return np.asarray(np.exp(-2j * np.pi * np.outer(self._kappas, heights)))
 
     def by_level(self, levels: Indices) -> NDArray[np.complex128]:
-        """Return, for each Fourier coefficient, the sum of ``basis`` over the pixels of each level, (p, levels).
+        """Return, for each Fourier coefficient, the sum of ``basis`` over the pixels of each height level, (p, levels).
 
         ``basis`` is the contribution of a pixel with height 0 to the coefficient.
         """

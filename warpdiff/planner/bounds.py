@@ -82,8 +82,9 @@ _SAMPLES_PER_ORDER = 8.0
 # Largest number of wavelengths that are sampled to compute a colour. The value is limited by computing time, which is
 # proportional to it. With this number, one direction already requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Largest number of wavelengths for a source whose light arrives near the horizon. The foreshortening of the source near
-# the horizon increases the required number without bound. This number suffices for a foreshortening by a factor of 50.
+# Largest number of wavelengths for a light source of finite size near the horizon. The foreshortening of the source
+# near the horizon increases the required number without bound. This number suffices for a foreshortening by a factor of
+# 50.
 _MOST_GRAZING = 16_384
 
 

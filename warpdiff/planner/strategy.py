@@ -52,9 +52,9 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Typical cost of evaluating directions by an upper-bound plan, divided by the cost by the cheaper plan that a search
-# finds, for each kind of coherence. The numbers were fitted: they are medians of 32 random calls
-# (docs/decisions/plans_and_tolerance.md).
+# Typical cost of evaluating directions by an upper-bound plan (numbers that suffice for any surface), divided by the
+# cost by the cheaper plan that a search finds, for each kind of coherence. The numbers were fitted: they are medians of
+# 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
 # Cost of a search for a cheap plan (numbers of a computation), expressed as a number of directions. In the time of a
 # search, the plan that it finds could evaluate this number of directions. The number was fitted to 32 random calls.

@@ -76,8 +76,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # If the caller requests a colour table and the first size is too large or too costly, the search tries the
-            # next smaller size.
+            # If the caller requests a colour table and the first size of the table is too large or too costly, the
+            # search tries the next smaller size.
             size -= 1
             continue
         if best is None:

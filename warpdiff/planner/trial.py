@@ -234,7 +234,7 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed values."""
+        """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed colours."""
         if plan.coherence.adds_powers:
             # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
             # plan, whose results count as exact, therefore includes Fourier coefficients up to a large distance from
@@ -342,9 +342,9 @@ class Trial:
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # The reference plan has a limited number of wavelengths, which may be too few if the light of a source arrives
-        # near the horizon. The reference values are then wrong for directions which orders pass faster, as 1/λ changes,
-        # than these wavelengths resolve.
+        # The reference plan has a limited number of wavelengths, which may be too few if a light source of finite size
+        # is near the horizon. The reference values are then wrong for directions which orders pass faster, as 1/λ
+        # changes, than these wavelengths resolve.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None

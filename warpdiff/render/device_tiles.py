@@ -77,7 +77,7 @@ class DeviceTiles:
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing: results of tiles are stored only for previews (larger tolerances), which a GPU does not show."""
+        """Do nothing: tile results are stored only for previews (larger tolerances), which a GPU does not render."""
 
     def begin(self, light: LightRefinement) -> None:
         """Begin the refinement under a light: compute the smallest divisor of relative errors by a histogram."""

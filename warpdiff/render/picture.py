@@ -222,7 +222,7 @@ class Picture:
 
     @property
     def sums(self) -> Accumulators:
-        """Sums of the pixels under the light that is rendered at the moment; :attr:`sampler` fills them."""
+        """Sums of the colours of pixels under the light that is rendered at the moment; :attr:`sampler` fills them."""
         return self._light_sums
 
     def footprint_calls(self, index: LobeIndex, batch: RayBatch) -> list[KernelCall]:

@@ -290,7 +290,7 @@ class PictureInputs:
         return plans, Lookups(lookups)
 
     def parts_of_light(self, index: int) -> list[LightPart]:
-        """Return the parts of one light; they are not combined with the parts of other lights."""
+        """Return the lobes, discs and skies (parts) of one light; they are not combined with those of other lights."""
         evaluation = _in_unit(self)
         light = self.lights[index]
         return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)

@@ -100,7 +100,8 @@ class PictureSamples:
 def samples_of(renderer: Renderer, lights: Light | Sequence[Light]) -> PictureSamples:
     """Return the samples of the picture that a renderer draws under some lights, one sample per pixel and lobe.
 
-    The renderer itself, and its last picture, do not change.
+    A lobe is a direction to a light, or a Gaussian of such directions. The renderer itself, and its last picture, do
+    not change.
 
     Raises:
         ValueError: The picture has refined pixels, several samples per pixel, several surfaces, normalised energy, or

@@ -148,7 +148,8 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
     Level n divides a pixel into 2ⁿ × 2ⁿ cells.
     """
-    # The mask has one bit per pixel. Each row of the picture begins with a new word of 64 bits.
+    # The mask of the subdivided pixels has one bit per pixel. Each row of the picture begins with a new word of 64
+    # bits.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True
     ranks = np.empty(width * height, dtype=np.int32)

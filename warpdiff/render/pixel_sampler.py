@@ -81,7 +81,10 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield all lobes whose directions are measured before a plan (numbers of the computation) is chosen."""
+        """Yield all lobes whose directions are measured before a plan (numbers of the computation) is chosen.
+
+        A lobe is a direction to a light, or a Gaussian of such directions.
+        """
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)

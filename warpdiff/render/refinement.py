@@ -266,7 +266,10 @@ class TileExecutor(Protocol):
         """Begin to refine a light at a tolerance: compute ``floor``, the smallest divisor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield groups of marked pixels. Each group subdivides its pixels and the eight pixels around each of them."""
+        """Yield groups of marked pixels. Each group subdivides its pixels and the eight pixels around each of them.
+
+        A mark states that the error of a pixel requires subdivision into cells.
+        """
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
         """Shade the cells of a group's tiles (subdivided pixels) at ``level``, and add them to the group's sums."""

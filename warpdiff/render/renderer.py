@@ -282,7 +282,8 @@ class Renderer:
             raise ArgumentTypeError(
                 f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
             )
-        # The mapping of previews is copied, because its callables may change it while the picture is drawn.
+        # The mapping of previews (tolerances with callables) is copied, because its callables may change it while the
+        # picture is drawn.
         callables = dict(previews or {})
 
         def show(tolerance: float) -> None:

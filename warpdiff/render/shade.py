@@ -129,7 +129,10 @@ class LayerRequest:
 
     @classmethod
     def of(cls, names: Collection[str], inputs: PictureInputs) -> LayerRequest:
-        """Check the names of layers against the inputs of the picture, before any kernel runs."""
+        """Check the names of layers against the inputs of the picture, before any kernel runs.
+
+        A layer is an additional array of a picture, such as the depths of its pixels.
+        """
         every = expanded(tuple(names), inputs.lights, inputs.parts)
         apart = any(name.partition(".")[0] == LIGHT for name in every)
         of_light = [inputs.parts_of_light(index) for index in range(len(inputs.lights) * apart)]

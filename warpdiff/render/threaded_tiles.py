@@ -70,7 +70,10 @@ class _ShadedTiles:
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy cached sums over the cells of tiles into a group. Return a mask of the tiles that are not cached."""
+        """Copy cached sums over the cells of tiles into a group. Return a mask of the tiles that are not cached.
+
+        A tile is a pixel that is divided into cells. A group is a set of pixels that are computed together.
+        """
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -105,7 +108,8 @@ class ThreadedTiles:
         self._rays, self._device = rays, rays.options["device"]
         self.count = 0
         self._threads = min(rays.options["threads"], pixel_filter.most_threads(rays.size))
-        # Buffers are stored for later pictures, because their allocation takes as much time as thousands of look-ups.
+        # Buffers (arrays of subpixel cells) are stored for later pictures, because their allocation takes as much time
+        # as thousands of look-ups.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
         self._shaded: _ShadedTiles | None = None
 

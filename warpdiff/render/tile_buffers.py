@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers (arrays of subpixel cells) have.
 
-    The flags are in the order of these optional arrays: geometry factors of directions that a table does not contain;
-    base colours; geometry factors at faces with the finish (surface and material) that is evaluated, if there are
-    several finishes; each ray's own direction to the light; metallic, roughness and emission of textures; and samples
-    in the frames of the dots (small rectangles) of grating maps.
+    The flags are in the order of these optional arrays: geometry factors of directions that a colour table does not
+    contain; base colours; geometry factors at faces with the finish (surface and material) that is evaluated, if there
+    are several finishes; each ray's own direction to the light; metallic, roughness and emission of textures; and
+    samples in the frames of the dots (small rectangles) of grating maps.
     """
 
     needs_sampling: bool

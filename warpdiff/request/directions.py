@@ -159,7 +159,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """Return the range that covers this range and ``other``; ranges without illuminated directions are ignored."""
+        """Return the range of directions that covers this one and ``other``; ranges without directions are ignored."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:

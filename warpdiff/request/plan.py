@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     import os
     from pathlib import Path
 
-# Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
+# Format of saved plans (numbers of computations), written to each file. The number increases when a field of a plan
+# changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
 # Largest size of a file that is read as a plan (numbers of a computation) [bytes]. A plan has about 1 kB. A much larger
 # file is therefore not a plan, and raises an error.
@@ -215,7 +216,7 @@ class Plan:
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether look-ups compute the mean over the range of (u, v) of a pixel by mip levels (blurred tables)."""
+        """Whether table look-ups compute means over the range of (u, v) of a pixel by mip levels (blurred tables)."""
         return self.footprint and self.rings_per_octave > 0 and self.coherence.adds_powers
 
     @property

@@ -59,7 +59,7 @@ def test_every_control_is_part_of_a_scene(files, tmp_path):
 
 @pytest.fixture
 def recorded(monkeypatch, tmp_path):
-    """Replace functions for gratings, meshes and environments by functions that return their name and arguments."""
+    """Replace functions for gratings, meshes and environment lights by ones that return name and arguments."""
 
     def recorder(function):
         @functools.wraps(function)

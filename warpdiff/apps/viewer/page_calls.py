@@ -223,7 +223,7 @@ class Scene:
 
     @property
     def normal(self) -> float:
-        """Reflectance at normal incidence by which pictures are divided; 1 if the body has a ``Material``."""
+        """Reflectance at normal incidence by which pictures are divided; 1 if the mesh has a ``Material``."""
         shading = self.shading
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
@@ -325,7 +325,7 @@ def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _named(call: Call | Path) -> str:
-    """Return the word that stands for a body, a grating or a light on a command line: ``fingers:size_um=25.6``."""
+    """Return the word that stands for a mesh, a grating or a light on a command line: ``fingers:size_um=25.6``."""
     if isinstance(call, Path):
         return str(call)
     parameters = ",".join(f"{name}={'x'.join(_texts(value))}" for name, value in call.options)
@@ -376,7 +376,7 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, TangentRule | None]:
-    """Return the selected body, and the rule for the direction of the height field's x axis.
+    """Return the selected mesh (body), and the rule for the direction of the height field's x axis.
 
     The rule is None if the texture coordinates of the body determine the direction.
     """

@@ -32,7 +32,9 @@ _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 
 
 class SceneObjects:
-    """Objects of scenes, made at the first use and cached. A key is the text of the library call that makes the object.
+    """Objects of scenes (meshes, height fields, lights, renderers), made at the first use and cached.
+
+    A key of a cache is the text of the library call that makes the object.
 
     Attributes:
         device: Warp device on which pictures are rendered.
@@ -60,7 +62,7 @@ class SceneObjects:
         return self._height_fields.get_or_make(str(call), lambda: page_bodies.height_field_of(call))
 
     def lights(self, scene: Scene) -> list[Any]:
-        """Return the light and the environment of a scene. An unchanged environment is always the same object."""
+        """Return the light and the environment light of a scene. An unchanged environment light is the same object."""
         lights = [] if scene.light is None else [scene.light.make()]
         if (sky := scene.sky) is None:
             return lights

@@ -67,7 +67,7 @@ _TIMED, _HEADROOM = 5, 0.8
 MAP_SIZE = 192
 # Shortest time between two progress messages to a page [s].
 _REPORT_S = 0.5
-# Smallest coverage at which a pixel counts as completely covered by the body. It is below 1 because of rounding errors.
+# Smallest coverage at which a pixel counts as completely covered by the mesh. It is below 1 because of rounding errors.
 _FULL_COVERAGE = 0.999
 
 
@@ -324,7 +324,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the current picture of the renderer to the page, as the picture of the next stage."""
+            """Send the current picture of the renderer to the page, as the picture of the next stage (tolerance)."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()
@@ -405,7 +405,7 @@ class Studio:
     ) -> None:
         """Send the directions to light and viewer at the probe, and the reflectance map for this light.
 
-        The probe is a point on the body that the user selects.
+        The probe is a point on the mesh that the user selects.
         """
         image, display = session.picture or (None, {})
         pixel = None

@@ -61,7 +61,7 @@ _ENTRIES_OF_W = 512
 # Largest number of lights of a page. The number is limited because the page renders the mesh and a shadow map for every
 # light in every frame.
 _MOST_LIGHTS = 8
-# Suffixes of the file of a page.
+# Suffixes of the HTML file of an exported page.
 SUFFIXES = (".html", ".htm")
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
