@@ -250,7 +250,7 @@ def _no_error(blocks: int) -> str:
 
 
 def _missing_values(values: dict[str, float], decay: Decay, *, is_profile: bool) -> dict[str, str]:
-    """Return the reasons why some parameters have no value, by the name of the parameter."""
+    """Return the reasons why some roughness parameters have no value, by the name of the parameter."""
     reasons = {
         name: "no two measured samples are neighbours" for name in ("Sdq", "Sdr") if not math.isfinite(values[name])
     }

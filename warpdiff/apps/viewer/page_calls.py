@@ -52,7 +52,7 @@ class Call:
 
     @classmethod
     def of(cls, function: str, *operands: Any, **options: Any) -> Call:
-        """Return a call of a function with positional and keyword arguments."""
+        """Return a stored call of a function with positional and keyword arguments."""
         return cls(function, operands, tuple(options.items()))
 
     def make(self) -> Any:

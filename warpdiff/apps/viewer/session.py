@@ -125,7 +125,7 @@ class Session:
 
 
 class Studio:
-    """Renderer for all pages, with its own thread."""
+    """Renderer for all open pages of the viewer, with its own thread."""
 
     def __init__(
         self, files: NamedFiles, values: Mapping[str, Any], *, device: Any = None, threads: int | None = None
