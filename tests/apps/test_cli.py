@@ -222,7 +222,7 @@ def test_messages_name_the_arguments_of_the_command(tmp_path, monkeypatch, capsy
 )
 def test_an_unwritable_folder_is_reported_before_rendering(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    # The root user may write everywhere, so the check of permissions is replaced.
+    # The root user may write everywhere, so the check of file permissions is replaced.
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr("warpdiff.device.devices.load", lambda *_: pytest.fail("kernels are loaded"))
     assert run(arguments) == 2

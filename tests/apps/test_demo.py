@@ -15,14 +15,14 @@ TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 def small_gratings(monkeypatch):
-    """Make the height fields of the demonstration small: nano-fingers on a sixth of the length, and few disc tracks."""
+    """Make the height fields of the demonstration small: a sixth of the width of the skin, and few disc tracks."""
     fingers = functools.partial(gratings.fingers, size_um=64.0 / 6.0, pitch_um=0.08)
     monkeypatch.setattr(gratings, "fingers", lambda **_: fingers())
     monkeypatch.setattr(gratings, "disc", rough(gratings.disc, tracks=6, length_um=12.5))
 
 
 def draw_roughly(monkeypatch, *names):
-    """Compute pictures and maps with a tolerance of 0.3 and a coherence window of 2 µm, to save time."""
+    """Compute pictures and reflectance maps with a tolerance of 0.3 and a coherence window of 2 µm, to save time."""
     for name in names:
         monkeypatch.setattr(demo, name, rough(getattr(demo, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=2.0)))
 

@@ -1,4 +1,4 @@
-"""Error messages of file operations: they name the file, and the argument as each front end spells it."""
+"""Error messages of file operations: they name the file, and the argument as in Python or on the command line."""
 
 import copy
 

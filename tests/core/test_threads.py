@@ -183,13 +183,14 @@ def test_plans_are_made_on_one_thread(monkeypatch):
 
 
 def taken_by_others(work):
-    """Return the CPU time that all other threads use during a call, relative to that of the calling thread."""
+    """Return the CPU time that all other threads use during ``work()``, relative to that of the calling thread."""
     work()
 
     def of_others():
         return time.process_time() - time.thread_time()
 
-    # Threads of the linear-algebra library stay active for a short time after a call, so wait until they are idle.
+    # Threads of the linear-algebra library stay active for a short time after a computation, so wait until they are
+    # idle.
     while (before := of_others()) and (time.sleep(0.05) or of_others() - before > 1e-3):
         pass
     before, begin = of_others(), time.thread_time()

@@ -1,4 +1,4 @@
-"""Warnings of calls whose directions look like angles in degrees, or whose lights do not reach the picture."""
+"""Warnings of calls whose directions look like angles in degrees, or whose lights reach no pixel."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Messages with marked argument names: each front end inserts its own names, and other text stays unchanged."""
+"""Messages with marked argument names: Python, command line and viewer insert names, other text is unchanged."""
 
 from __future__ import annotations
 

@@ -78,8 +78,8 @@ def test_order_efficiencies_equal_closed_forms(name, angle):
                 continue
             cos_r = math.sqrt(1.0 - sin_r**2)
             kappa = -(cos_i + cos_r) / (wavelength * 1e-3)
-            # The amplitude of order m is ∫ e^{2πiκh} e^{2πirx/d} dx / d with r = −m. Its squared magnitude is the
-            # power.
+            # The amplitude of the diffraction order m is ∫ e^{2πiκh} e^{2πirx/d} dx / d with r = −m. Its squared
+            # magnitude is the power.
             power = closed(kappa, 0.3, m)
             geometry = (1.0 + sin_i * sin_r + cos_i * cos_r) ** 2 / (cos_i * cos_r * (cos_i + cos_r) ** 2)
             assert result[0, m][k] == pytest.approx(geometry * power, abs=error * geometry)
@@ -391,7 +391,7 @@ def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatc
 
 
 def test_interpolated_factors_serve_several_lights(monkeypatch):
-    """Interpolated energy factors must be the same for several lights together and for each light alone.
+    """Interpolated factors of the energy normalisation must be equal for several lights together and for each alone.
 
     Factors are interpolated if a light has more orders than a limit. The test sets this limit to 10 orders.
     """

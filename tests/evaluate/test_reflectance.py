@@ -1,4 +1,4 @@
-"""Reflectance by the direct sum, maps and the absolute BRDF, compared with references and closed forms.
+"""Reflectance by the direct sum, reflectance maps and the absolute BRDF, compared with references and closed forms.
 
 ωi and ωr are the unit vectors to the light and to the viewer, with the angles θi and θr from the normal. w is the
 normal component of the scattering vector −ωi − ωr. σ is the standard deviation of the coherence window.
@@ -44,7 +44,7 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
 def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatch):
     """A direct sum that reaches its limit of wavelengths before the colour has converged must cause a warning.
 
-    Until then, the wavelength step of the sum is halved again and again.
+    The direct sum halves the wavelength step again and again until the colour converges.
     """
     counts = []
     sums = module.direct_sum.window_power

@@ -72,7 +72,7 @@ def test_rotation_is_counter_clockwise_seen_from_the_light() -> None:
     assert (quarter.pitch_um, quarter.size_um) == ((0.25, 0.5), (2.0, 0.5))
     assert quarter.heights_um.flags.c_contiguous
     np.testing.assert_array_equal(blaze.rotated(2).heights_um, blaze.heights_um[:, ::-1])
-    # The rotation moves a sample at (x, y) to (−y, x).
+    # The rotation moves a height sample at (x, y) to (−y, x).
     field = noise((3, 4))
     np.testing.assert_array_equal(field.rotated(1).heights_um[2], field.heights_um[::-1, 2])
     np.testing.assert_array_equal(field.rotated(-3).heights_um, field.rotated(1).heights_um)

@@ -141,7 +141,8 @@ def test_despiking_and_making_periodic_preserve_gaps() -> None:
     changed = (clean.heights_um != dirty.heights_um) & ~GAP
     assert changed[grain > 0.1].all()
     assert not changed[grain == 0.0].mean() > 0.02
-    # ``periodic()`` subtracts a smooth part that depends only on samples at the edges. A gap elsewhere has no effect.
+    # ``periodic()`` subtracts a smooth surface that depends only on samples at the edges. A gap elsewhere has no
+    # effect.
     whole = wd.HeightField(waves(), PITCH).periodic()
     np.testing.assert_allclose(gappy(waves()).periodic().heights_um[~GAP], whole.heights_um[~GAP])
     np.testing.assert_array_equal(gappy(waves()).periodic().missing, GAP)

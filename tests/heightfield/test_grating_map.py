@@ -35,8 +35,9 @@ def test_transforms_are_relative_to_the_largest_scales() -> None:
     reference = grating_map.reference
     assert reference.height_range_um == pytest.approx(2.0 * CELL.height_range_um)
     assert reference.pitch_um == pytest.approx((1.5 * CELL.pitch_um[0], 1.5 * CELL.pitch_um[1]))
-    # All dots share one table of colours, which is made for the largest pitch scale, 1.5. A source of 1° blurs the
-    # diffraction of the dot with the pitch scale 0.75 like a source of 0.5° at the pitch scale 1.5.
+    # All dots (small rectangles of the map) share one table of colours, which is made for the largest pitch scale, 1.5.
+    # A source of 1° blurs the diffraction of the dot with the pitch scale 0.75 like a source of 0.5° at the pitch scale
+    # 1.5.
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     assert grating_map.table_coherence(source).angular_diameter_deg == pytest.approx(0.5)
     assert grating_map.table_coherence(wd.Coherence()) == wd.Coherence()
@@ -97,7 +98,7 @@ BAD_IMAGES = {
 
 @pytest.mark.parametrize("name", BAD_IMAGES)
 def test_images_have_remedies_for_maps(name: str, tmp_path: Path) -> None:
-    """Error messages about images must not advise files of heights, which grating maps do not accept."""
+    """Error messages about images must not propose a file of heights, which grating maps do not accept."""
     content, message = BAD_IMAGES[name]
     path = tmp_path / name
     if content is None:
@@ -149,7 +150,7 @@ def test_maps_are_saved_as_tables_of_dots_and_loaded(tmp_path: Path) -> None:
     heading, *lines = path.read_text(encoding="utf-8").splitlines()
     assert heading == "row,column,turn_deg,depth_scale,pitch_scale"
     assert len(lines) == 12
-    # The order of the lines has no effect.
+    # The order of the lines in the CSV file of a grating map has no effect.
     path.write_text("\n".join([heading, *rng.permutation(lines)]), encoding="utf-8")
     loaded = wd.GratingMap.load(path, CELL)
     for name in ("turn_deg", "depth_scale", "pitch_scale"):

@@ -28,7 +28,10 @@ SECOND = 0.1 + 0.7 * ((X // 8) % 2)
 
 
 def _luminances(grating_map: wd.GratingMap, eye: tuple[float, float, float]) -> NDArray[np.float32]:
-    """Return the luminance of each dot of the card for an eye, by the ray of a pixel near the middle of the dot."""
+    """Return the luminance of each dot of the card for an eye, by the ray of a pixel near the middle of the dot.
+
+    Dots are small rectangles of the card, each with a grating.
+    """
     view = wd.View(eye, (0.0, 0.0, 0.0), fov_y_deg=9.0, width=240, height=180)
     image = wd.shade(
         wd.meshes.card(WIDTH, WIDTH * ROWS / COLUMNS), grating_map, wd.DirectionalLight(TO_LIGHT), view,
@@ -53,8 +56,8 @@ def test_each_eye_sees_its_picture_alone() -> None:
         assert abs(np.corrcoef(seen[own], other[own])[0, 1]) <= 0.05
         assert seen[~own].mean() <= 0.02 * seen[own].mean()
         ratios = seen[own] / picture[own]
-        # The grating of each dot is designed for the direction from this dot to the eye. A single direction for the
-        # whole card would darken the picture towards the edges.
+        # The grating of each dot (small rectangle of the card) is designed for the direction from this dot to the eye.
+        # A single direction for the whole card would darken the picture towards the edges.
         assert np.ptp(ratios) < 0.05 * ratios.mean()
         maxima.append(ratios.mean())
     assert maxima[0] == pytest.approx(maxima[1], rel=0.02)

@@ -1,4 +1,4 @@
-"""Widths in GDS layouts: two methods agree, large layouts are fast, and references between cells are checked."""
+"""Widths in GDS layouts: two methods of measurement agree, large layouts are fast, and cell references are checked."""
 
 import time
 

@@ -62,8 +62,8 @@ def test_rows_of_images_go_down_in_every_format(tmp_path: Path, suffix: str) -> 
     np.testing.assert_allclose(up.heights_um, samples[::-1])
 
 
-# Heights are integers, so that rows are easy to compare. The pitch is 9 µm, because slopes would be implausible with a
-# pitch that is small compared with steps of 1 µm.
+# Heights are integers, so that rows of heights are easy to compare. The pitch is 9 µm, because slopes would be
+# implausible with a pitch that is small compared with steps of 1 µm.
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 @pytest.mark.parametrize("order", "<>")
 def test_pfm_stores_the_bottom_row_first(tmp_path: Path, order: str) -> None:

@@ -239,7 +239,8 @@ def test_exports_are_read(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(scan.pitch_um, export.pitch, rtol=1e-4)
 
 
-# Texts of a validation set: they were written only after the reader was finished.
+# Matrix of heights for texts of a validation set. These texts were written only after the reader of text files was
+# finished.
 BIG = np.round(20.0 * np.random.default_rng(5).normal(size=(6, 7)), 3)
 LINES = table(BIG, ";", form="{:.3f}").splitlines()
 INDICES = [(i, j) for j in range(6) for i in range(7)]
@@ -339,7 +340,7 @@ REFUSED = {
         table(GAP, ";", gap="").replace("\n", ";\n"), "has an empty first or last column"
     ),
     "underscores": ("1_0 2_0 3_0\n4_0 5_0 6_0\n", "has no rows of numbers"),
-    # Texts of the validation set, which were written only after the reader was finished.
+    # Unclear texts of a validation set, which were written only after the reader of text files was finished.
     "a matrix of columns": ("X Size\t7\nY Size\t6\n" + table(BIG.T, "\t"), "6 columns, and its header states 7"),
     "positions with a number in the corner": (
         "7;0;250;500;750;1000;1250;1500\n" + "\n".join(f"{500 * j};{line}" for j, line in enumerate(LINES)),

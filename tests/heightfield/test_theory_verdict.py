@@ -1,4 +1,4 @@
-"""Verdicts on scalar diffraction, compared with rigorous solutions and closed forms, and calls that report them."""
+"""Verdicts on scalar diffraction, compared with rigorous solutions and closed forms, and functions that report them."""
 
 import json
 import math
@@ -176,7 +176,8 @@ def test_usual_surfaces_are_qualitative_and_not_warned_of(name):
 def test_all_calls_warn_in_the_words_of_the_verdict(call):
     """Scalar diffraction is invalid for this deep grating, for all directions of light and view.
 
-    Each call must warn with the library's verdict on scalar diffraction: grade, wavelength, error and reason.
+    Each public function must warn with the library's verdict on scalar diffraction: grade, wavelength, error and
+    reason.
     """
     heightfield = wd.gratings.sinusoidal(1.0, 2.0, samples=16)
     tube = wd.meshes.tube(segments_along=12, segments_around=12)

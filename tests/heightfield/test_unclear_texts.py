@@ -39,8 +39,8 @@ def points(form: str = "{x:.1f}\t{y:.1f}\t{z}", noise: float = 0.0) -> str:
 
 
 EMPTY_FIRST = np.hstack([np.full((9, 1), np.nan), HEIGHTS])
-# Text files that are read: the text, the expected heights in µm from the top of the picture, and the options of
-# ``load``.
+# Unclear text files that are read correctly: the text, the expected heights in µm from the top of the picture, and the
+# options of ``load``.
 READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     # Texts with thousands separators and decimal signs in numbers.
     "thousands and decimals in a size": (f"X Size: 6,000.0 nm\nY Size: 3,600.0 nm\n{UNIT}{table()}", HEIGHTS, {}),
@@ -119,7 +119,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "a length per count in the key": (f"Height scale [nm/digit] = 0.25\n{SIZE}{table(4.0 * HEIGHTS)}", HEIGHTS, {}),
     "a length of a count": (f"1 LSB = 0.5 nm\n{SIZE}{table(2.0 * HEIGHTS)}", HEIGHTS, {}),
     "a factor of one": (f"{SIZE}{UNIT}Z scale: 1.000\n{table()}", HEIGHTS, {}),
-    # Lists of points with different names of columns.
+    # Lists of points x, y, z with different names of columns.
     "rows and columns of points": ("row,col,z [nm]\n" + points("{j},{i},{z}"), HEIGHTS, {"pitch_um": PITCH}),
     "lines and pixels of points": ("line;pixel;z [nm]\n" + points("{j};{i};{z}"), HEIGHTS, {"pitch_um": PITCH}),
     "Zeile and Spalte": ("Zeile;Spalte;Höhe [nm]\n" + points("{j};{i};{z}"), HEIGHTS, {"pitch_um": PITCH}),

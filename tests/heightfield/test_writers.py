@@ -10,7 +10,8 @@ from warpdiff.core import files
 from warpdiff.heightfield.writers.height_levels import levels_of, rectangles_of
 
 RNG = np.random.default_rng(5)
-# Heights of eight levels with islands, holes and single samples, and with a pitch that is no whole number of nm.
+# Height field with eight different heights, with islands, holes and single samples, and with a pitch that is no whole
+# number of nm.
 STEPS = RNG.integers(0, 8, (7, 9)) * 0.0375
 STEPS[0, 0], STEPS[-1, -1] = 0.0, 7 * 0.0375
 PITCH = (0.2, 0.123456)
@@ -38,7 +39,7 @@ def test_gds_layout_is_the_height_field_again(tmp_path):
     for layer, (left, bottom, right, top) in zip(layers, boxes, strict=True):
         edges = np.array([left, right]) / PITCH[1], np.array([bottom, top]) / PITCH[0]
         for axis, pitch in zip(edges, PITCH[::-1], strict=True):
-            # Coordinates are rounded to 1 nm.
+            # Coordinates in GDS files are rounded to 1 nm.
             assert np.abs(axis - np.rint(axis)).max() * pitch <= 0.5e-3 + 1e-9
         (a, b), (c, d) = (np.rint(axis).astype(int) for axis in edges)
         assert np.isnan(again[c:d, a:b]).all()
@@ -76,8 +77,8 @@ def test_layout_measures_features_in_the_file(tmp_path):
     gdstk = pytest.importorskip("gdstk", reason="gdstk is not installed")
     square = np.zeros((6, 10))
     square[1:3, 2:5] = 0.1
-    square[3, 5] = 0.1  # touches the first feature at a corner
-    square[0, 0] = square[0, 9] = 0.1  # continues at the opposite edge: 2 samples wide, 1 high
+    square[3, 5] = 0.1  # a feature that touches the first one at a corner
+    square[0, 0] = square[0, 9] = 0.1  # feature that continues at the opposite edge: 2 samples wide, 1 high
     table = wd.measure_layout(wd.HeightField(square, (0.5, 0.25)).save(tmp_path / "a.gds"))
     row = dict(zip(table.columns, table[1], strict=True))
     assert row["layer"] == 1

@@ -35,7 +35,7 @@ def header(**texts: Any) -> str:
 
 
 def write(path: Path, xml: str, data: bytes | None = None, folder: str = "", **members: bytes) -> Path:
-    """Write an .x3p file: a ZIP archive of the header, the heights and further members."""
+    """Write an .x3p file: a ZIP archive of the header, the heights and further files."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(f"{folder}main.xml", xml)
         archive.writestr("__MACOSX/._main.xml", b"\0\1")

@@ -1,4 +1,4 @@
-"""Comparison of two pictures: relative errors, their floor, masks, and the errors that ``image.error`` reports."""
+"""Comparison of two pictures: relative errors, their smallest divisor, masks, and the errors of ``image.error``."""
 
 import dataclasses
 import json

@@ -219,7 +219,8 @@ def test_a_background_is_mixed_in_linear_light(image, tmp_path):
     np.testing.assert_allclose(over[2:], encoded[2:, :, :3], atol=1e-6)
     mixed = 0.25 * colorimetry.srgb_decode(encoded[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
     np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
-    # A picture with a coverage of 0.25 in front of a copy of itself has a total coverage of 1 − (1 − 0.25)².
+    # A picture with a coverage of 0.25 in front of a copy of itself as background has a total coverage of 1 − (1 −
+    # 0.25)².
     itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
     np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(encoded[1, :, :3]), atol=1e-5)
     spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))
@@ -294,7 +295,7 @@ def largest_file(size):
 
 
 def cannot_save(image, folder, name, *, message="cannot write", **options):
-    """Check that saving fails and leaves all files unchanged, both if the target exists and if it does not."""
+    """Check that saving fails and leaves all files unchanged, both if the picture file exists and if it does not."""
     for old in ({}, {name: b"precious"}):
         for file, content in old.items():
             (folder / file).write_bytes(content)

@@ -1,7 +1,7 @@
 """Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it.
 
-A plan holds the numbers of a computation, such as wavelengths and terms of a series. An upper-bound plan must suffice
-for any surface.
+A call is one call of a public function, such as ``wd.reflectance``. A plan holds the numbers of a computation, such as
+wavelengths and terms of a series. An upper-bound plan must suffice for any surface.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal, and κ is w/λ.
@@ -23,7 +23,7 @@ from warpdiff.request.settings import PlanSettings, SpectralSettings
 
 
 def ratio(heightfield, lights, views, tolerance, **options):
-    """Return the error of a call's colours, compared with the float64 reference, divided by the call's tolerance."""
+    """Return the error of the colours of ``wd.reflectance``, relative to a float64 reference, over the tolerance."""
     with warnings.catch_warnings():
         # Ignore the warning that scalar diffraction is invalid for a deep surface.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -52,7 +52,8 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
     lights = np.stack([x, np.sqrt(1.0 - x * x - z * z), z], axis=1)
     lights, views = np.repeat(lights, 2, axis=0)[:100], np.repeat(lights * [1.0, -1.0, 1.0], 2, axis=0)[:100]
-    # Two dark directions with a larger κ are added, so that the plan must cover a wide range of κ.
+    # Two dark directions with a larger κ are added, so that the plan (numbers of the computation) must cover a wide
+    # range of κ.
     lights[-2:], views[-2:] = [0.076, 0.064, 0.995], [-0.345, 0.588, 0.732]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     views /= np.linalg.norm(views, axis=1, keepdims=True)
@@ -61,7 +62,7 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [slow(3.0, "HP2"), (5.5, "FL12")])
 def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
-    """Tall steps must meet the tolerance in the mirror direction, under illuminants with narrow lines.
+    """Tall steps must meet the tolerance in the mirror direction, under illuminants with narrow spectral lines.
 
     The spectra of tall steps oscillate quickly with the wavelength. Both the oscillation and the narrow lines require
     many wavelengths.
@@ -89,7 +90,8 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """The errors of reflectance maps must be within the tolerance under illuminants with narrow spectral lines.
 
-    In most directions of a map, the wavelength of a diffraction order is between two lines of the illuminant.
+    In most view directions of a reflectance map, the wavelength of a diffraction order is between two lines of the
+    illuminant.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
@@ -108,8 +110,8 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
     The bandwidth is the number of wavelength samples per unit of 1/λ. It has three parts: one for order rates (how fast
     diffraction orders pass a direction as 1/λ changes), one for heights, and a constant. The first part must be
-    proportional to the σ of the window, and the second to the heights. For Gaussian windows, both must be proportional
-    to tolerance^(−1/6).
+    proportional to the σ of the coherence window, and the second to the heights. For Gaussian windows, both must be
+    proportional to tolerance^(−1/6).
     """
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
@@ -120,9 +122,9 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicated patches (kind "replicas"), the first part of the bandwidth is a number of wavelengths per
-    # diffraction order of the patch that passes a direction while λ changes. It must be proportional to
-    # tolerance^(−1/4).
+    # For replicated patches (kind "replicas"), the first part of the bandwidth (number of wavelength samples) is a
+    # number of wavelengths per diffraction order of the patch that passes a direction while λ changes. It must be
+    # proportional to tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -139,8 +141,8 @@ def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavele
     band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
     wider = band_of_log / 0.38 / band
     np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
-    # In a spectrum, a diffraction order is a Gaussian of 1/λ or of ln λ. A source and a window require the same number
-    # of wavelengths per standard deviation of this Gaussian.
+    # In a spectrum, a diffraction order is a Gaussian of 1/λ or of ln λ. A light source of finite size and a coherence
+    # window require the same number of wavelengths per standard deviation of this Gaussian.
     of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 

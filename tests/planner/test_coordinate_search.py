@@ -18,8 +18,8 @@ import warpdiff as wd
 from warpdiff.planner import coordinate_search, cost_model
 from warpdiff.planner.coordinate_search import Coordinate
 
-# Tolerance of the call, and largest error of a plan that the search accepts: the tolerance divided by the safety factor
-# 1.6.
+# Tolerance of the tested computation, and largest error of a plan that the search accepts: the tolerance divided by the
+# safety factor 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 # Ratio of successive bandwidths (wavelengths per unit of 1/λ) that a search tries, 4 steps per factor of 2; and number
 # of terms of a series per SIMD register.
@@ -54,7 +54,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Return the three errors that a plan's numbers of terms, of neighbours and of wavelengths cause."""
+        """Return the three errors that a plan's numbers of terms, neighbouring coefficients and wavelengths cause."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])
@@ -96,8 +96,9 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # Among plans with the same number of terms and the same neighbourhood, the plan with the smallest sufficient
-        # bandwidth has the least cost. It is the last sufficient plan of this loop.
+        # Among plans (numbers of computations) with the same number of terms and of neighbouring Fourier coefficients,
+        # the plan with the smallest sufficient bandwidth has the least cost. It is the last sufficient plan of this
+        # loop.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least
@@ -107,15 +108,16 @@ def exhaustive(trial, start, target):
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
     """The cost of the plan that a search finds must be near the least cost of all sufficient plans.
 
-    The plan must report the errors that the search has measured. The validation error is the training error times
-    ``factor``. With a factor of 2.5 it exceeds the target, so that the search must refine its plan again.
+    The plan must report the errors that the search has measured. The error on the validation directions is the error on
+    the training directions times ``factor``. With a factor of 2.5, it exceeds the target (largest accepted error), so
+    that the search must refine its plan again.
     """
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Bisection must try at most 20 plans in total: it searches 4 numbers of terms, 9 neighbourhoods, and three parts of
-    # the bandwidth with 13 values each.
+    # Bisection must try at most 20 plans in total: it searches 4 numbers of terms, 9 numbers of neighbouring
+    # coefficients, and three parts of the bandwidth with 13 values each.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured
@@ -211,8 +213,8 @@ def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_we
 ):
     """If the validation set has all directions of a call, the predicted error must be 1.6 times the measured error.
 
-    The validation set has the directions on which the error is measured. If it has only a part of them, the factor must
-    be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
+    The validation set has the directions on which the error of a plan is measured. If it has only a part of them, the
+    factor must be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
     """
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
@@ -246,7 +248,7 @@ def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
     """The bandwidth must be doubled until the error, proportional to bandwidth⁻⁶, is at most half of the target.
 
-    The bandwidth is the number of wavelength samples per unit of 1/λ.
+    The target is the largest accepted error. The bandwidth is the number of wavelength samples per unit of 1/λ.
     """
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
@@ -340,10 +342,10 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
     """Error budgets must increase in equal steps from the error of the first plan to the target.
 
-    A search reduces one number of the plan (a coordinate) after another. The budget of a number is the limit of the
-    plan's error while this number is reduced. Few bright directions in the sample do not represent all bright
-    directions of a call well. The budgets of terms and of the neighbourhood, which are reduced first, must then
-    increase by only a tenth of an equal step. The neighbourhood must then not be reduced.
+    The target is the largest accepted error. A search reduces one number of the plan (a coordinate) after another. The
+    budget of a number is the limit of the plan's error while this number is reduced. Few bright directions in the
+    sample do not represent all bright directions of a call well. The budgets of terms and of the neighbourhood, which
+    are reduced first, must then increase by only a tenth of an equal step. The neighbourhood must then not be reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -140,7 +140,8 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
     """A look-up in a colour table adds nine rows. A row must cost one unit per basis function of w and colour channel.
 
-    w is the normal component of the scattering vector. The table stores colours as sums of basis functions of w.
+    A row has the coefficients of one point of the table. w is the normal component of the scattering vector. The table
+    stores colours as sums of basis functions of w.
 
     If a plan states no number of basis functions of w, the table must have as many as the plan has terms, rounded up to
     whole SIMD registers.

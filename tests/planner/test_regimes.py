@@ -23,7 +23,7 @@ WINDOW = wd.Coherence()
 
 
 class Case:
-    """A call with its reference: height field, directions, coherence model, and the colours it must return."""
+    """Arguments of ``wd.reflectance`` (height field, directions, coherence model), and the colours it must return."""
 
     def __init__(self, heightfield, directions, coherence=WINDOW):
         self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence
@@ -116,7 +116,7 @@ def test_fixed_neighbours_and_wavelength_steps_fail_for_some_patch_sizes():
 
 
 # Tests of large and small |(u, v)|. Far from the mirror direction, 81 wavelengths are too few. Near the mirror
-# direction, one wavelength per order is too few.
+# direction, one wavelength per diffraction order is too few.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, slow(0.7), 1.98])
@@ -188,7 +188,7 @@ def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count,
 
 @pytest.mark.parametrize("count", [2, slow(8), slow(12)])
 def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
-    """A call with a light source of finite size at 0.2° above the horizon must be accurate or refused.
+    """Colours for a light source of finite size at 0.2° above the horizon must be accurate, or the call refused.
 
     The call may require more wavelengths than a plan can have.
     """
@@ -203,8 +203,8 @@ def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
 
-# Tests with different pitches (distances of height samples). A reference computed from the same samples would have the
-# same aliasing. The expected colours are therefore closed forms.
+# Tests with different pitches (distances of height samples). Reference colours computed from the same samples would
+# have the same aliasing. The expected colours are therefore closed forms.
 
 
 PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
@@ -233,8 +233,8 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The colours must equal those of a reference that uses the same coarse samples, because aliasing causes the
-        # same errors in both.
+        # The colours must equal those of a reference computation with the same coarse height samples, because aliasing
+        # causes the same errors in both.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
@@ -250,7 +250,7 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, calls with a window between height samples must be accurate, or warn, or be refused.
+    """Close to the Nyquist limit, results for a window between height samples must be accurate, warn, or be refused.
 
     Close to the limit, a direction requires Fourier coefficients beyond the limit, which are copies of coefficients
     below it. For a coherence window centred between height samples, the copies have wrong phases.

@@ -62,7 +62,7 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # The other directions are drawn uniformly in z over the hemisphere, so that their mean z is 0.5.
+    # The unknown directions are drawn uniformly in z over the hemisphere, so that their mean z is 0.5.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -94,8 +94,8 @@ def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind,
     for share, pays in [(0.99, False), (1.01, True)]:
         assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
     # The order rate is how fast diffraction orders pass a direction as 1/λ changes. Here, the wavelengths of the
-    # upper-bound plan suffice up to a rate of 1.0, and the call has 1.1. A search must then start for any number of
-    # directions.
+    # upper-bound plan suffice up to a rate of 1.0, and the directions of the call have 1.1. A search must then start
+    # for any number of directions.
     assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
 
 
@@ -178,7 +178,7 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     """A table of colours must be used if its error is within the tolerance, or if the caller requests a table.
 
     For pixels with a footprint, colours are means over a part of the table. Their errors are smaller than those of
-    single points, so that the error is not multiplied by the safety factor of 1.6.
+    single points of the table, so that the error is not multiplied by the safety factor of 1.6.
     """
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
@@ -198,8 +198,9 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     else:
         assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
     assert strategy._measured(*arguments, 0.0) is searched
-    # If all directions are dark, the upper-bound plan must be used. If the order rates of the call exceed the largest
-    # one for which that plan has enough wavelengths, a search must be used instead.
+    # If all directions are dark, the upper-bound plan must be used. If the order rates of the call (how fast orders
+    # pass its directions as 1/λ changes) exceed the largest one for which that plan has enough wavelengths, a search
+    # must be used instead.
     monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
     assert not strategy._measured(*arguments, 0.0).is_measured
     cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)

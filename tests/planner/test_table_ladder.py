@@ -32,9 +32,9 @@ def plan(fingers):
 class Tables:
     """Stand-in for a trial of colour tables. The error is a closed form, by default of second order in ring spacing.
 
-    Tables with at least ``sufficient`` rings per octave meet the target. For plans without a table, the function
-    ``sampled`` returns the error as a function of the number of basis terms, by which a plan expands Fourier
-    coefficients.
+    Tables with at least ``sufficient`` rings per octave meet the target, the largest accepted error. For plans without
+    a table, the function ``sampled`` returns the error as a function of the number of basis terms, by which a plan
+    expands Fourier coefficients.
     """
 
     validation_set = range(5)
@@ -76,7 +76,8 @@ def cost(trial, rings):
 def test_the_smallest_sufficient_table_is_found_in_few_steps(fingers, plan, sufficient, count):
     """The search must find the smallest colour table that meets the target error, in few steps.
 
-    Each tried table has at most twice the rings of the previous one, and no table smaller than the first one is tried.
+    The size of a table is its number of rings (circles of constant |(u, v)|). Each tried table has at most twice the
+    rings of the previous one, and no table smaller than the first one is tried.
     """
     trial = Tables(fingers, plan, sufficient)
     table = trial.smallest()
@@ -168,7 +169,7 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
     """The colour table must have the smallest number of basis terms whose expected error is at most half of the target.
 
-    The terms are those of the functions that expand Fourier coefficients.
+    The target is the largest accepted error. The terms are those of the functions that expand Fourier coefficients.
 
     With 8 terms, the measured error equals the target. The residuals of the fit of the basis functions predict that 10
     terms reduce this error by a factor of 3.2.
@@ -187,9 +188,9 @@ def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_targe
     """If the first colour table fails because it has too few basis terms, the next table must have more terms.
 
     The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried. If the
-    error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the first
-    table, the terms cause most of the table's error, and the next table has the same size. Otherwise the next table is
-    larger.
+    error of that plan exceeds half of the target (largest accepted error), terms are added. If it also exceeds half of
+    the error of the first table, the terms cause most of the table's error, and the next table has the same size.
+    Otherwise the next table is larger.
     """
 
     def law(table):

@@ -14,7 +14,8 @@ from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
-# Seed and indices of the tested calls. Large calls, whose references are expensive, are tested by ``tolerance_sweep``.
+# Seed and indices of the tested random calls. Calls with many directions, whose exact colours are expensive, are tested
+# by ``tolerance_sweep``.
 SEED = 11
 LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
 UP = np.array([0.0, 0.0, 1.0])
@@ -33,7 +34,7 @@ def check(case: Configuration, count: int = 400) -> None:
     """
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
-    # The chosen directions are sorted by brightness, the brightest first.
+    # The chosen directions of the call are sorted by brightness, the brightest first.
     places = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
     chosen, weights = chosen[places], weights[places]
     figure = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
@@ -94,7 +95,8 @@ def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
     """
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
-    # The grating diffracts into the xz-plane. Most views are in the yz-plane and dark; a few are near the first order.
+    # The grating diffracts into the xz-plane. Most view directions are in the yz-plane and dark; a few are near the
+    # first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -114,7 +116,8 @@ def test_looser_tolerances_never_cost_more(count, rng):
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
         directions = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
-    # Plans with tight tolerances for the whole hemisphere require several seconds each, and are skipped.
+    # Making plans (numbers of wavelengths and terms) with small tolerances for the whole hemisphere requires several
+    # seconds each. They are skipped.
     tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
     plans = [wd.plan(heightfield, *directions, tolerance=t) for t in tolerances]
     costs = [plan.multiply_adds for plan in plans]
@@ -141,7 +144,7 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 
 
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
-    """A call must get more than the smallest set of wavelengths if its error is too large.
+    """The plan of a call must have more than the smallest set of wavelengths if the error of the call is too large.
 
     For the tested call, the error with the smallest set is three times the tolerance.
     """

@@ -61,8 +61,8 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
     """The error of few directions must be the largest relative error, with the colour's norm or the floor as divisor.
 
-    Each of the 60 directions has more than 0.5 % of the weight. The 99.5th percentile of the errors is therefore their
-    maximum.
+    The floor is the smallest divisor. Each of the 60 directions has more than 0.5 % of the weight. The 99.5th
+    percentile of the errors is therefore their maximum.
     """
     measured, plan, lights, views = colours
     coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
@@ -82,8 +82,9 @@ def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_o
     assert measured.training_error(coarse) == measured.validation_error(coarse)
     assert measured.bright == (math.inf, math.inf)
     assert measured.any_light
-    # The order rate of a direction is how fast diffraction orders pass it as 1/λ changes. The reference resolves order
-    # rates up to ``max_order_rate``. Directions with larger order rates must be excluded from the error.
+    # The order rate of a direction is how fast diffraction orders pass it as 1/λ changes. The reference plan of the
+    # trial resolves order rates up to ``max_order_rate``. Directions with larger order rates must be excluded from the
+    # error.
     complete = measured.reference
     measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
     assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
@@ -120,8 +121,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # The call has 1,005 directions, of which 20 (2 %) are bright. The 99th percentile of the luminance is therefore the
-    # luminance of these bright directions.
+    # The tested call has 1,005 directions, of which 20 (2 %) are bright. The 99th percentile of the luminance is
+    # therefore the luminance of these bright directions.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     # If the weight of each bright direction is reduced to a quarter, the bright directions have 0.5 % of the total
@@ -197,8 +198,9 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
 def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
     """If a request is for spectra, the largest value of each spectrum must replace the luminance of its direction.
 
-    The trial draws two sets of directions, one to search a plan and one to validate it. The draw must use these maxima
-    and the lowest floor, because minima or other floors would select other directions.
+    A floor is the smallest luminance of a bright direction. The trial draws two sets of directions, one to search a
+    plan and one to validate it. The draw must use these maxima and the lowest floor, because minima or other floors
+    would select other directions.
     """
     rng = np.random.default_rng(11)
     lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
@@ -234,8 +236,8 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # Candidates are the directions from which both sets are drawn. This call is small, so that all of its directions
-    # are candidates, and there is one luminance floor. In larger calls the brightest candidates may be outliers; a
-    # second floor is then computed without them.
+    # Candidates are the directions from which the training and the validation set are drawn. This call is small, so
+    # that all of its directions are candidates, and there is one luminance floor. In larger calls the brightest
+    # candidates may be outliers; a second floor is then computed without them.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -29,7 +29,8 @@ def test_the_training_and_the_validation_set_each_represent_all_candidates(rng):
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
         # Directions are drawn uniformly, by brightness, or as edge cases, in the ratio 1 : 1 : 0.25. A fifth of all
-        # candidates are edge cases. The share of edge cases among the first two kinds is therefore a fifth, too.
+        # candidates (sampled directions of a call) are edge cases. The share of edge cases among the first two kinds is
+        # therefore a fifth, too.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
@@ -101,7 +102,7 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
 
 
 def test_directions_with_extreme_angles_are_edge_cases(rng):
-    """Directions with extreme angles must be edge cases, which always become candidates of the planner.
+    """Directions with extreme angles must be edge cases, which always become candidates for sampled directions.
 
     They have the most grazing lights or views, or the largest or smallest |(u, v)|, the tangential part of the
     scattering vector.

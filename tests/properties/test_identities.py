@@ -149,9 +149,10 @@ def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
 
 
 def projected_disc(centre, radius, count):
-    """Return view directions whose x and y lie in a disc around (``centre``, 0), and their weights dω cos θr.
+    """Return view directions whose x and y lie in a disc around (``centre``, 0), and their quadrature weights.
 
-    The quadrature along x is in the angle θ, which removes the factor 1/cos θr from the integrand.
+    The weights are dω cos θr. The quadrature along x is in the angle θ, which removes the factor 1/cos θr from the
+    integrand.
     """
     nodes, weights = np.polynomial.legendre.leggauss(count)
     low = math.asin(max(0.0, centre - radius)) if centre - radius > 0.0 else -math.asin(min(1.0, radius - centre))
@@ -171,8 +172,9 @@ def projected_disc(centre, radius, count):
 def test_flat_mirror_reflects_all(sigma_um, theta_deg):
     """Check that ∫ BRDF cos θr dω = 1 within 1 %.
 
-    At 75° the lobe of the shortest window extends to the horizon, where the formula of the BRDF itself is inexact. The
-    integral is 1.007 at the tested wavelength of 550 nm, but 1.017 at 450 nm and 0.957 at 780 nm.
+    At 75°, the lobe of an order for the shortest coherence window extends to the horizon, where the formula of the BRDF
+    itself is inexact. The integral is 1.007 at the tested wavelength of 550 nm, but 1.017 at 450 nm and 0.957 at 780
+    nm.
     """
     assert mirror_power(sigma_um, theta_deg, math.inf) == pytest.approx(1.0, rel=1e-2)
 
@@ -296,8 +298,8 @@ def test_calls_without_directions_return_empty_arrays(rough, method):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
-    # Each thread processes slices of 512 directions. The count is larger, so that several slices and threads are
-    # tested.
+    # Each thread processes slices of 512 directions. The number of directions is larger, so that several slices and
+    # threads are tested.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
     # Directions near the horizon are excluded, because a light source of finite size there requires thousands of
     # wavelengths per direction.

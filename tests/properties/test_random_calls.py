@@ -13,7 +13,7 @@ from bench.truth.numpy_methods import outcome
 SETTINGS = settings(
     derandomize=True, deadline=None, max_examples=25, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
-# Parts of the error messages with which a random call may be refused. Any other error fails the test.
+# Parts of the error messages with which random arguments may be refused. Any other error fails the test.
 REFUSALS = ("crop the height field", "heights are in µm", "so fine that a colour requires", "cannot meet tolerance")
 
 
@@ -66,7 +66,7 @@ reciprocal = coherences.filter(lambda each: each.kind != "source")
 
 
 def computed(call, *arguments, **keywords):
-    """Return the values of a call, or None if it is refused for a known reason."""
+    """Return the result of ``call`` with the arguments, or None if it is refused for a known reason."""
     values, message = outcome(call, *arguments, **keywords, strict=False)
     if values is None:
         event("refused")
@@ -176,7 +176,7 @@ def test_a_constant_height_changes_nothing(data):
 def test_mirroring_surface_and_directions_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Mirroring x → −x keeps the position of the first sample, and reverses the order of the others.
+    # Mirroring x → −x keeps the position of the first height sample, and reverses the order of the others.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
         # The coherence window is centred on a sample. For a centre between samples, Fourier coefficients at and beyond
@@ -188,8 +188,8 @@ def test_mirroring_surface_and_directions_changes_nothing(data):
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # The kind "replicas" sums over whole periods. Here the mirrored surface is also shifted by one sample, which
-        # changes only the phase of the reflected wave.
+        # The kind "replicas" sums over whole periods. Here the mirrored surface is also shifted by one height sample,
+        # which changes only the phase of the reflected wave.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(

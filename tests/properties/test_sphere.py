@@ -105,8 +105,8 @@ def test_colours_are_finite_and_not_negative_over_the_sphere(rough, name, method
 def test_spectra_of_a_deep_surface_are_finite_and_not_negative(name, method):
     """For a deep surface, all methods must give finite and not negative values.
 
-    At the height range of 5 µm, float32 overflows in Taylor series. Calls use these series only if ``method`` selects
-    them.
+    At the height range of 5 µm, float32 overflows in Taylor series. The library uses these series only if ``method``
+    selects them.
     """
     heightfield = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())

@@ -1,8 +1,8 @@
 """Grating maps: pictures must equal those of meshes with one part per dot, and refinement must find edges of dots.
 
-A grating map is an array of dots. All dots have the same height field; each dot turns it and scales its depth and
-pitch. The reference is a mesh with one part per dot, each with its own height field. Refinement divides pixels into
-subpixel cells.
+A grating map is an array of small rectangles (dots). All dots have the same height field; each dot turns it and scales
+its depth and pitch. The reference is a mesh with one part per dot, each with its own height field. Refinement divides
+pixels into subpixel cells.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ WIDE_SOURCE = wd.Coherence("source", angular_diameter_deg=4.0)
 def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: bool = True) -> wd.GratingMap:
     """Return a grating map with gratings (dots) that differ in direction, depth and pitch.
 
+    Dots are small rectangles of a surface, each with a grating.
+
     Most dots diffract light of ``LIGHT`` into ``VIEW``.
     """
     rng = np.random.default_rng(seed)
@@ -49,7 +51,10 @@ def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: 
     ids=["1-D source", "source", "averaged", "centred", "periods"],
 )
 def test_a_map_equals_one_part_per_dot(cell: wd.HeightField, coherence: wd.Coherence) -> None:
-    """Dots (gratings) of a map must have the colours of mesh parts with turned tangents and scaled height fields."""
+    """Dots (gratings) of a map must have the colours of mesh parts with turned tangents and scaled height fields.
+
+    A grating map divides a surface into small rectangles (dots), each with a turned and scaled copy of one grating.
+    """
     grating_map = _map(cell, (3, 4), pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 1e-2, "footprint": False, "ior": np.inf}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
@@ -66,7 +71,10 @@ def test_a_map_equals_one_part_per_dot(cell: wd.HeightField, coherence: wd.Coher
 def test_pitches_differ_under_an_averaged_window(
     cell: wd.HeightField, shape: tuple[int, int], integration: str
 ) -> None:
-    """Colours of a map that are interpolated between coherence windows must equal those of one mesh part per dot."""
+    """Colours of a map that are interpolated between coherence windows must equal those of one mesh part per dot.
+
+    A grating map divides a surface into small rectangles (dots), each with a turned and scaled copy of one grating.
+    """
     coherence = wd.Coherence(sigma_um=4.0)
     grating_map = _map(cell, shape, seed=4)
     options: dict[str, Any] = {
@@ -76,7 +84,8 @@ def test_pitches_differ_under_an_averaged_window(
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     scene, surfaces, tangents = parts_of(grating_map, coherence)
     parts = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # If all dots (gratings) had the coherence window of the largest dot, the median error would be above 0.1.
+    # If all dots (rectangles of a grating map with one grating each) had the coherence window of the largest dot, the
+    # median error would be above 0.1.
     assert np.percentile(error_of(image, parts.xyz), 99.0) < 1e-2
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == coherence
@@ -86,7 +95,8 @@ def test_pitches_differ_under_an_averaged_window(
 def test_footprints_are_turned_and_scaled(pitch: bool) -> None:
     """Means over footprints of pixels must equal those of a mesh with one part per dot.
 
-    A footprint is the range of scattering vectors that a pixel covers.
+    A dot is a small rectangle of a grating map, with one grating. A footprint is the range of scattering vectors that a
+    pixel covers.
     """
     coherence = wd.Coherence(sigma_um=5.0)
     grating_map = _map(FINGERS, (2, 3), pitch=pitch)
@@ -109,7 +119,10 @@ def test_footprints_are_turned_and_scaled(pitch: bool) -> None:
 def test_refinement_finds_the_edges_of_dots(
     cell: wd.HeightField, coherence: wd.Coherence, shape: tuple[int, int]
 ) -> None:
-    """A refined picture must equal one with 1,024 subpixel cells per pixel, also at edges of dots (gratings)."""
+    """A refined picture must equal one with 1,024 subpixel cells per pixel, also at edges of dots (gratings).
+
+    Dots are the small rectangles of a grating map, each with one grating.
+    """
     grating_map = _map(cell, shape, pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "strict": False}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, tolerance=0.05, **options)
@@ -123,7 +136,8 @@ def test_refinement_finds_the_edges_of_dots(
 def test_bright_dots_beside_dark_ones_are_found() -> None:
     """Pixels next to bright dots (gratings) of a grating map must be accurate.
 
-    The filter of a pixel extends beyond the next pixel, so that bright dots there contribute to dark pixels.
+    Dots are small rectangles of a surface. The filter of a pixel extends beyond the next pixel, so that bright dots
+    there contribute to dark pixels.
     """
     rng = np.random.default_rng(2)
     turns, depths = rng.uniform(0.0, 360.0, (6, 8)), rng.choice([0.0, 1.0], (6, 8), p=[0.7, 0.3])
@@ -141,8 +155,9 @@ def test_default_coherence_of_maps_is_a_source() -> None:
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == wd.Coherence("source")
-    # The coherence of a grating map is a light source by default. It must not change the coherence of other surfaces.
-    # The colours of a picture are relative to a perfect mirror; the coherence must not change this reference either.
+    # The coherence of a grating map is a light source by default. A map must not change the coherence of other
+    # surfaces. The colours of a picture are relative to a perfect mirror; the coherence must not change this reference
+    # either.
     scene, _, _ = parts_of(wd.GratingMap(SINE, turn_deg=[[0.0, 0.0]]), wd.Coherence())
     surfaces = {"dot 0 0": grating_map, "dot 0 1": SINE}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, **options)
@@ -150,19 +165,22 @@ def test_default_coherence_of_maps_is_a_source() -> None:
         "dot 0 0": "source", "dot 0 1": "averaged",
     }  # fmt: skip
     # The plan (method, number of wavelengths and so on) of a picture with a grating map must be accepted in a second
-    # call, and must give the same picture.
+    # call of ``shade``, and must give the same picture.
     again = wd.shade(scene, surfaces, LIGHT, VIEW, plan=image.plan, footprint=False)
     np.testing.assert_array_equal(again.xyz, image.xyz)
 
 
 def test_maps_of_several_parts_are_independent() -> None:
-    """Each part of a mesh must have its own grating map, and a part without a map must not be affected."""
+    """Each part of a mesh must have its own grating map, and a part without a map must not be affected.
+
+    A grating map divides a surface into small rectangles with one grating each.
+    """
     scene, _, tangents = parts_of(wd.GratingMap(SINE, turn_deg=np.zeros((1, 3))), wd.Coherence())
     fields = [_map(FINGERS, (3, 4), pitch=False), _map(FINGERS, (2, 5), seed=1, pitch=False), FINGERS]
     options: dict[str, Any] = {"tolerance": 0.01, "footprint": False, "coherence": wd.Coherence(sigma_um=5.0)}
     surfaces = {f"dot 0 {column}": field for column, field in enumerate(fields)}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # First and last column of each part in the picture, one pixel inside of the edges of the part.
+    # First and last column of pixels of each mesh part in the picture, one pixel inside of the edges of the part.
     half = VIEW.width / VIEW.height * 4.0 * np.tan(np.radians(6.0))
     edges = (np.linspace(-0.5, 0.5, 4) / half + 1.0) * VIEW.width / 2.0
     for index, (key, field) in enumerate(surfaces.items()):
@@ -185,7 +203,10 @@ def test_renderers_of_maps_draw_the_pictures_of_shade_and_can_be_pickled() -> No
 
 
 def test_the_device_algorithms_draw_the_same_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The algorithms for GPUs, run on the CPU, must find the same dots (gratings) and edges as those for the CPU."""
+    """The algorithms for GPUs, run on the CPU, must find the same dots (gratings) and edges as those for the CPU.
+
+    Dots are the small rectangles of a grating map, each with one grating.
+    """
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     grating_map, view = _map(SINE, (3, 4)), VIEW
     settings = PictureSettings(tolerance=0.1, coherence=WIDE_SOURCE, strict=False, device="cpu")
@@ -252,8 +273,9 @@ def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
 def test_metals_reflect_less_at_oblique_angles() -> None:
     """A grating map on a metal must have the colours of a mesh with one part per dot (grating).
 
-    The colour tables of the mesh parts contain the metal's reflectance at each angle. The table of the map has one
-    spectrum for all angles, so that the spectrum must change little with the angle.
+    Dots are the small rectangles of the map. The colour tables of the mesh parts contain the metal's reflectance at
+    each angle. The table of the map has one spectrum for all angles, so that the spectrum must change little with the
+    angle.
     """
     coherence, light = wd.Coherence(sigma_um=5.0), wd.DirectionalLight((0.3, 1.5, 1.0))
     grating_map = _map(FINGERS, (3, 4), pitch=False)

@@ -30,7 +30,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan whose table of colours is so fine that averages over pixel areas cause most of the error."""
+    """Return a plan with a colour table that is so fine that averages over pixel areas cause most of the error."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -135,7 +135,7 @@ def test_more_cells_are_never_worse(truth, fingers, table):
         ]
         for one, more in itertools.pairwise(result):
             for quantile in (50.0, 90.0, 99.0):
-                # Errors below 1e-3 are mainly errors of the table, which more cells per pixel cannot reduce.
+                # Errors below 1e-3 are mainly errors of the colour table, which more cells per pixel cannot reduce.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 
@@ -144,7 +144,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table)
     rim = (coverage > 0.1) & (coverage < 0.9)
     assert np.count_nonzero(rim) > 15
-    # Pixels at the silhouette have coverages with errors of at most 0.1, and of 0.03 in the median.
+    # Pixels at the silhouette of the mesh have coverages with errors of at most 0.1, and of 0.03 in the median.
     away = np.abs(image.coverage - coverage)[rim]
     assert np.median(away) < 0.03
     assert away.max() < 0.1
@@ -218,7 +218,7 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
 
 
 def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
-    """Pixels with an edge must be marked, and inner pixels must not.
+    """Pixels with an edge must be marked in the mask of edges, and inner pixels must not.
 
     The whole square of an inner pixel shows the mesh and is illuminated.
     """
@@ -229,7 +229,7 @@ def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
     # Some edges are so close to the border of their pixel that none of its 16 cells detects them. It suffices that 80 %
-    # of the pixels with edges are marked.
+    # of the pixels with edges are marked as such.
     assert np.mean(edges[illuminated & ~inside]) > 0.8
 
 
@@ -298,8 +298,8 @@ def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
         exact = np.exp(-0.5 * (x / refinement_levels.FILTER_SIGMA) ** 2) / refinement_levels.FILTER_SIGMA
-        # A sum of equal Gaussians with σ = s · spacing has ripples of 2 exp(−2π²s²). The truncation of the filter at
-        # 1.5 pixels adds an error.
+        # A sum of equal Gaussians with σ = s · spacing (a spacing is the distance of cells) has ripples of 2
+        # exp(−2π²s²). The truncation of the filter at 1.5 pixels adds an error.
         ripples = 2.0 * np.exp(-2.0 * (np.pi * deviation * 2**level) ** 2)
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 

@@ -73,7 +73,7 @@ CASES = {
 
 @pytest.fixture
 def recorded(monkeypatch):
-    """Make renderers record their launches, as on a GPU. Return a list that gets an entry with each recording."""
+    """Make renderers record their launches, as on a GPU. Return a list that gets an element with each recording."""
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
@@ -241,7 +241,8 @@ def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, 
 
     with pytest.raises(KeyError, match="mine"):
         drawn.draw(previews={0.4: fails})
-    # The callback for previews raised an error during this picture. The picture must still be complete.
+    # The callback for previews (pictures at larger tolerances) raised an error during this picture. The picture must
+    # still be complete.
     same(drawn.image(), before)
     with pytest.raises(RuntimeError, match="was called from its own progress"):
         drawn.draw(previews={0.4: drawn.draw})
@@ -407,7 +408,8 @@ def test_launches_are_recorded_again_if_others_are_needed(fingers, plans, record
     inside = wd.View((0.0, 0.0, 0.3), (0.0, 0.0, -1.0), fov_y_deg=60.0, width=WIDTH, height=HEIGHT)
     changes = [
         (LIGHTS[0], view(0.1), 1),
-        # For a camera inside of a convex mesh, the mesh occludes the light, and launches with shadow rays are recorded.
+        # For a camera inside of a convex mesh, the mesh occludes the light, and kernel launches with shadow rays are
+        # recorded.
         (LIGHTS[0], inside, 2),
         (LIGHTS, inside, 3),
         (LIGHTS[1], view(), 4),

@@ -48,7 +48,7 @@ KINDS = {
 
 
 def albedos(names, surfaces=None):
-    """Return the base colour in the middle of each of several parts, which lie side by side."""
+    """Return the base colour in the middle of each of several mesh parts, which lie side by side."""
     scene = trimesh.Scene()
     for index, name in enumerate(names):
         body = KINDS[name][0]()

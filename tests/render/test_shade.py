@@ -78,8 +78,8 @@ def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
     for tolerance, error in zip(TOLERANCES, errors, strict=True):
         print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
         assert error.illuminated > 0.8 * PIXELS
-        # Colours below the floor f, a share of the highlight's luminance, count as dark. The highlight of the tube is
-        # so bright that most pixels are dark, but some pixels must be brighter than f.
+        # Colours with a luminance below the floor f, a fraction of the luminance of the highlight, count as dark. The
+        # highlight of the tube is so bright that most pixels are dark, but some pixels must be brighter than f.
         assert error.share_below < 0.99
         assert error.p99 <= tolerance
         assert error.below <= tolerance
@@ -246,7 +246,8 @@ def test_many_samples_per_pixel_change_only_the_rim():
     """
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
-    # With a short coherence window, a flat surface has one broad lobe, so that colours change little within a pixel.
+    # With a short coherence window, a flat surface reflects light into one broad lobe (range of directions), so that
+    # colours change little within a pixel.
     options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
     light = wd.DirectionalLight((-0.3, 0.6, 1.2))
     one = wd.shade(disc, FLAT, light, view, **options)
@@ -255,8 +256,8 @@ def test_many_samples_per_pixel_change_only_the_rim():
     assert many.coverage.min() == 0.0
     assert many.coverage.max() == 1.0
     np.testing.assert_allclose(16.0 * many.coverage, np.round(16.0 * many.coverage), atol=1e-6)
-    # The filter has a radius of 1.5 pixels, so pixels more than two pixels from the rim are completely inside or
-    # outside.
+    # The filter has a radius of 1.5 pixels, so pixels more than two pixels from the rim of the mesh are completely
+    # inside or outside.
     inside, outside = one.mask.copy(), ~one.mask
     for shift in np.ndindex(5, 5):
         moved = np.roll(one.mask, (shift[0] - 2, shift[1] - 2), axis=(0, 1))

@@ -47,8 +47,9 @@ BODY = scene(left="gold", middle="silver", right="gold")
 PARTS = np.repeat(np.arange(3), 16)
 
 
-# The plan of one part is used for a picture in which all parts have this surface. The other parts have directions for
-# which the plan was not made. The warning about these directions is expected.
+# The plan (numbers of the computation) of one part of the mesh is used for a picture in which all parts have this
+# surface. The other parts have directions for which the plan was not made. The warning about these directions is
+# expected.
 @pytest.mark.filterwarnings("ignore:plan is used beyond")
 @pytest.mark.parametrize("lights", [LIGHT, [LIGHT, wd.PointLight((0.0, 1.0, 3.0))]], ids=["one", "two"])
 @pytest.mark.parametrize("points", [False, True], ids=["means", "points"])
@@ -75,8 +76,8 @@ def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, 
         if points:
             np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
         else:
-            # Colours are interpolated in a table. Its extent depends on the directions of all parts with the surface.
-            # The tables of both pictures are therefore slightly different.
+            # Colours are interpolated in a table. The extent of the table depends on the directions of all parts with
+            # the surface. The tables of both pictures are therefore slightly different.
             assert (
                 np.percentile(relative_errors(image.xyz[2:-2, inside].reshape(-1, 3), expected.reshape(-1, 3)), 99.0)
                 <= OPTIONS["tolerance"]

@@ -2,7 +2,7 @@
 
 A plan has the numbers of a computation, such as wavelengths and terms of a series. It is made for a range of
 directions. For few directions, its numbers are upper bounds, which suffice for any surface. For many directions, the
-library searches smaller numbers by trials.
+library searches smaller numbers by trials (tests on sampled directions).
 """
 
 import dataclasses
@@ -33,8 +33,8 @@ def rough() -> wd.HeightField:
 
 
 def test_a_plan_covers_the_range_of_its_directions(rough, rng):
-    # The range of directions of a plan does not depend on its method. Plans for the method "direct" are tested, because
-    # they need no search and are made quickly.
+    # The range of directions of a plan does not depend on its method. Plans (numbers of computations) for the method
+    # "direct" are tested, because they need no search and are made quickly.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -78,16 +78,16 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
     for plans in (
         [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
-        # With many directions and large tolerances, the method "auto" would use tables of colours. Plans with tables
-        # have other numbers than plans that sample wavelengths.
+        # With many directions and large tolerances, the method "auto" would use tables of colours. Plans (numbers of
+        # computations) with tables have other numbers than plans that sample wavelengths.
         [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
     ):
         for name in ("terms", "wavelengths", "multiply_adds"):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # If a search selects a plan, the errors of the plan are measured. They are not compared, because the plan for
-        # the larger tolerance may by chance have the smaller error.
+        # If a search selects a plan (numbers of the computation), the errors of the plan are measured. They are not
+        # compared, because the plan for the larger tolerance may by chance have the smaller error.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -118,8 +118,8 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     assert not few.is_measured
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
     assert plan.multiply_adds < samples.multiply_adds
-    # For replicated periods, the reference requires 0.1 s per direction. Fewer directions are therefore tested than for
-    # other kinds of coherence.
+    # For replicated periods, the computation of exact colours requires 0.1 s per direction. Fewer directions are
+    # therefore tested than for other kinds of coherence.
     apart = 650 if coherence.kind == "replicas" else 240
     for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
@@ -143,7 +143,7 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 def test_a_plan_reads_as_a_table(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
-    # The first line of a plan's text must say whether results can be trusted.
+    # The first line of the text of a plan (numbers of a computation) must say whether results can be trusted.
     assert text.splitlines()[0] == (
         f"The plan meets its tolerance of 0.003: predicted error {plan.error:.1e}, measured on {plan.validation_size} "
         "validation directions."
@@ -308,8 +308,8 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # The plan is made for only three directions. Its numbers are therefore upper bounds, because a search would take
-    # longer than it saves.
+    # The plan (numbers of the computation) is made for only three directions. Its numbers are therefore upper bounds,
+    # because a search would take longer than it saves.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive

@@ -34,8 +34,8 @@ def deep(height_um: float) -> wd.HeightField:
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # The second tested call has no directions, so that the plan is for the whole hemisphere. It requires a search,
-    # which is slow because it compiles a kernel for each number of terms.
+    # The second tested call of ``wd.plan`` has no directions, so that the plan is for the whole hemisphere. It requires
+    # a search, which is slow because it compiles a kernel for each number of terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
@@ -171,7 +171,10 @@ def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
 
 
 def test_a_renderer_of_another_size_under_a_source_does_not_warn():
-    """No plan for a source covers the whole hemisphere, of which nothing may warn."""
+    """A renderer for a light source of finite size must not warn that its plan does not cover the whole hemisphere.
+
+    No plan for such a source covers the whole hemisphere. The tested renderer is that of ``Renderer.resized``.
+    """
     tube, light = wd.meshes.tube(segments_along=12, segments_around=12), wd.DirectionalLight((0.1, 0.9, 1.2))
     options = {"coherence": wd.Coherence("source"), "tolerance": 0.3, "refine": False}
     renderer = wd.Renderer(

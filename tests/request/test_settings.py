@@ -1,4 +1,4 @@
-"""Settings: each field is an option of all front ends; misspelt options and invalid values raise one clear error."""
+"""Settings: each field is an option of Python, command line and viewer; misspelt or invalid ones raise one error."""
 
 import inspect
 import json
@@ -106,7 +106,7 @@ print(json.dumps(result))
 
 
 def copied(folder, first="pigment: Strength", field="pigment: Annotated"):
-    """Copy the package with one additional field in a class of settings.
+    """Copy the package with one additional field in a class of settings (options of public functions).
 
     Args:
         folder: Folder of the copy.

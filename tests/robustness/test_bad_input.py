@@ -18,7 +18,7 @@ LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
 # The plan (method, number of wavelengths and so on) is for a single direction. It is therefore made without a search
-# for these numbers, and quickly; every test process imports this file.
+# for these numbers, and quickly; every process of the tests imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -71,8 +71,8 @@ SHARED = [
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
 
-# Calls with invalid values of arguments that the list above does not contain, and the expected messages. Each call gets
-# the path of an empty folder.
+# Calls with invalid values of arguments that the list ``SHARED`` does not contain, and the expected messages. Each call
+# gets the path of an empty folder.
 VALUE_ERRORS = [
     # Calls with invalid height fields, and the errors that they raise
     (lambda _: wd.HeightField([[math.nan]], 0.1), "heights_um must have at least one height, got 1 NaN"),
@@ -242,7 +242,7 @@ def text(path):
 
 
 def options_of(name: str) -> set[str]:
-    """Return the names of the keyword-only parameters of a public function, and ``heightfield``."""
+    """Return the names of the keyword-only parameters of a public function, and the name ``heightfield``."""
     parameters = inspect.signature(getattr(wd, name)).parameters.values()
     return {option.name for option in parameters if option.kind is option.KEYWORD_ONLY} | {"heightfield"}
 

@@ -1,6 +1,7 @@
 """Damaged files are read, or refused with their name; no other files are opened. Each reader has valid files to damage.
 
-The files are damaged by the mutations of ``bench/dev/fuzz.py``: few in the default tests, and many in a soak test.
+The files are damaged by the mutations of ``bench/dev/fuzz.py``: few in the default tests, and many in a soak test (a
+long run of the tests with random inputs).
 """
 
 import contextlib
@@ -91,7 +92,7 @@ def test_every_registered_and_public_reader_has_a_corpus():
 
 
 def _with_member(data, name, old, new):
-    """Return an archive with a replacement of bytes in one of its members, and with correct checksums."""
+    """Return an archive with a replacement of bytes in one of its files, and with correct checksums."""
     stream = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(stream, "w") as target:
         for member in source.namelist():
@@ -127,7 +128,7 @@ def test_a_formula_of_a_constant_has_an_index_at_all_wavelengths(tmp_path):
 
 
 def _faulty(fault):
-    """Return a faulty reader. It refuses all files, and calls ``fault`` if damage has changed the word "Wavelength"."""
+    """Return a faulty reader. It refuses all files, and calls ``fault`` for files without the word "Wavelength"."""
 
     def read(path):
         text = path.read_bytes()

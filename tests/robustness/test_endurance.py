@@ -1,4 +1,4 @@
-"""Tests that run only in a soak test: memory over thousands of calls, and processes that compile simultaneously."""
+"""Tests that run only in a soak test (a long run): memory over thousands of calls, concurrent compilations."""
 
 import hashlib
 import os
@@ -19,7 +19,7 @@ MOST_GROWTH = 100 << 20
 
 
 def varied(rng):
-    """Make a small call of a randomly chosen public function."""
+    """Call a randomly chosen public function with small random arguments."""
     heightfield = wd.gratings.fingers(size_um=6.4, seed=int(rng.integers(2**31)))
     coherence = wd.Coherence(sigma_um=rng.uniform(2.0, 4.0))
     options = {"coherence": coherence, "tolerance": 0.2, "threads": int(rng.integers(1, 5)), "strict": False}

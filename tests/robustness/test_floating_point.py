@@ -1,4 +1,4 @@
-"""Legal calls cause no floating-point error, although NumPy is set to raise on each one; underflow gives zero."""
+"""Valid arguments cause no floating-point error, although NumPy is set to raise on each one; underflow gives zero."""
 
 import numpy as np
 import pytest

@@ -49,7 +49,7 @@ def written(action, draw):
 def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
-    # With little free memory, large requests are refused on every machine.
+    # With little free memory, arguments that require much memory are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
     # With a short coherence window, the library makes its plan (method, number of wavelengths and so on) several
     # seconds faster.
@@ -80,7 +80,8 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     def attempt(data):
         for _ in range(3):
             fuzzed = [text for action in data.draw(one_or_two) for text in written(action, data.draw)]
-            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
+            # Hypothesis continues to draw examples (random arguments) after the time limit, so late examples are
+            # skipped.
             if seconds_left():
                 tries.number += 1
                 end(fuzzed)

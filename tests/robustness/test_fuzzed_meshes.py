@@ -55,8 +55,8 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
             tries.number -= 1
             continue
         render(path)
-    # More than half of the meshes must have been written and tried. A soak test is not checked, because a short one may
-    # end before it has tried so many.
+    # More than half of the meshes must have been written and tried. A soak test (a run of a given duration) is not
+    # checked, because a short one may end before it has tried so many.
     assert endurance.IS_SOAK or tries.number > len(MESHES) // 2
 
 

@@ -21,16 +21,18 @@ import warpdiff as wd
 
 resource = pytest.importorskip("resource", reason="memory limits require POSIX")
 
-# Functions that need seconds even with valid arguments.
+# Public functions that need seconds even with valid arguments.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers", "report"}
-# Time limit of a call in seconds, including the compilation of kernels. A longer call counts as hanging.
+# Time limit of a call of a fuzzed function in seconds, including the compilation of kernels. A longer call counts as
+# hanging.
 MOST_S = 60
-# Memory limit of a call in bytes, above the process's memory. Small calls need less, and large requests fail.
+# Memory limit of a call of a fuzzed function in bytes, above the process's memory. Small calls need less, and calls
+# that require much memory fail.
 MOST_MORE_BYTES = 1 << 30
 
 
-# Class of each argument that is an object. A call may refuse the object because of one of its fields, so the message
-# may name a field of this class.
+# Class of each argument that is an object. The function may refuse the object because of one of its fields, so the
+# message may name a field of this class.
 PARTS_OF = {
     "heightfield": "HeightField", "coherence": "Coherence", "light": "DirectionalLight", "lights": "DirectionalLight",
     "view": "View", "direction": "View", "plan": "Plan", "self": "HeightField",
@@ -44,7 +46,7 @@ def strategies_of(name):
     return strategies | ({"self": fuzz.OBJECTS[FUZZED_OWNERS[owner]]} if owner in FUZZED_OWNERS else {})
 
 
-# For each class of results, a function that lists the arrays of numbers in a result.
+# For each class of results of public functions, a function that lists the arrays of numbers in a result.
 NUMBERS_OF = {
     np.ndarray: lambda array: [array] if array.dtype.kind == "f" else [], wp.array: lambda array: [array.numpy()],
     (float, np.floating): lambda number: [np.array(number)],
@@ -111,7 +113,7 @@ def test_fuzzed_functions_include_methods_and_functions_of_submodules():
 
 
 def check(name, fuzzed):
-    """Check that a call returns finite numbers, or raises an error that names one of its arguments."""
+    """Check that a call of ``name`` returns finite numbers, or raises an error that names one of its arguments."""
     message, names = "", {name.rpartition(".")[2], *strategies_of(name)}
     with warnings.catch_warnings(), little_memory(), no_hang():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -143,10 +145,12 @@ def test_fuzzed_arguments_are_refused_by_name_or_computed(name, tries):
     @examples(*((1, 50) if name in SLOW else (3, 500)))
     @given(st.data())
     def attempt(data):
-        # Three calls per example save time, because Hypothesis needs longer for an example than most calls.
+        # Each example that Hypothesis makes calls the function three times, with other random arguments each time. This
+        # saves time, because making an example takes longer than most calls.
         for _ in range(3):
             fuzzed = {key: data.draw(strategies[key]) for key in data.draw(one_or_two)}
-            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
+            # Hypothesis continues to draw examples (random arguments) after the time limit, so late examples are
+            # skipped.
             if seconds_left():
                 tries.number += 1
                 check(name, fuzzed)

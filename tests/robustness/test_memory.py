@@ -1,4 +1,4 @@
-"""Requests larger than the free memory are refused before work begins. Smaller requests are not refused."""
+"""Calls that require more than the free memory are refused before work begins. Smaller calls are not refused."""
 
 import dataclasses
 import math

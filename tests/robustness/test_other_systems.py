@@ -135,7 +135,7 @@ def test_no_posix_module_or_name_is_used_without_a_guard():
 
 
 def texts_without_encoding(text):
-    """Return the calls that read or write a text without naming its encoding, or write it without naming its newlines.
+    """Return the calls in a source text that name no encoding to read or write a text, or no newlines to write it.
 
     Windows would use a legacy encoding.
     """

@@ -33,7 +33,7 @@ class Export(NamedTuple):
 
 
 def numbers(values: np.ndarray, form: str, decimal: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return texts of numbers, and the numbers after rounding to the digits of these texts."""
+    """Return numbers as texts in a format, and the numbers that these texts state after rounding."""
     texts = np.array([form.format(value) for value in values.ravel()]).reshape(values.shape)
     written = texts.astype(float)
     return np.char.replace(np.char.replace(texts, ".", decimal), "E", "D" if decimal == "." else "E"), written

@@ -108,7 +108,7 @@ def prepared(folder: Path) -> Iterator[None]:
         yield
 
 
-# The code below makes calls in Python that have one invalid argument each.
+# The code below makes calls of public functions with one invalid argument each.
 
 # Objects of classes that require kernels, made without initialisation. The tests only need methods of these objects to
 # refuse their arguments.
@@ -181,7 +181,8 @@ def command_line_rows() -> Iterator[Row]:
                 yield Row("command line", " ".join(line), flag, rule, functools.partial(error_of_command, line))
 
 
-# Arguments that the refused calls and command lines below share. In a command line, ``…`` stands for the text ``DISC``.
+# Arguments that the refused Python calls and command lines below share. In a command line, ``…`` stands for the text
+# ``DISC``.
 DISC = "disc --heightfield a.npy --pitch-um 0.1 -o a.png"
 SKY = wd.Environment([[[1.0, 1.0, 1.0]] * 4] * 2)
 Z_UP = wd.View((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
@@ -191,7 +192,8 @@ def shade(heightfield: wd.HeightField = fuzz.HEIGHTFIELD, **options: object) -> 
     return wd.shade(fuzz.MESH, heightfield, fuzz.LIGHT, fuzz.VIEW, **options)
 
 
-# Rules about pairs of arguments and about files: a call in Python with its message, and a command line with its own.
+# Rules about pairs of arguments and about files: a call in Python with the expected error message, and a command line
+# with its message.
 RULES = [
     (lambda: wd.Coherence(centre_um=(1, 1)), "centre_um is for kind='centred', not 'averaged': remove it",
      "render … --centre-um 1 1", "--centre-um is for --coherence centred, not 'averaged': remove it"),
@@ -270,7 +272,7 @@ RULES = [
     (lambda: BARE["Image"].save("no/a.png"), "path: the folder 'no' does not exist; create it first",
      "render disc --heightfield cd -o no/a.png", "--output: the folder 'no' does not exist; create it first"),
 ]  # fmt: skip
-# Expected messages of rules that only the command line has.
+# Expected error messages of rules that only the command line has.
 LINES = {
     "render … --film Au 100": "--film requires --material: give both",
     "render … --material Au --film 1.5 x": "--film must be a material and a number of nanometres, got 'x'",

@@ -54,7 +54,8 @@ import runpy, sys
 print("begun", flush=True)
 runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 """
-# Delays in seconds: some signals arrive during imports, others during the compilation of kernels.
+# Delays in seconds before the signal is sent: some signals arrive during imports, others during the compilation of
+# kernels.
 GRID = [
     *((0.15, "SIGINT"), (0.4, "SIGTERM"), (0.8, "SIGHUP"), (1.6, "SIGTERM")),
 ]

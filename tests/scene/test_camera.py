@@ -110,7 +110,7 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
 @pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
 @pytest.mark.parametrize("target", [None, (5.5, 6.0, 7.5)])
 def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
-    """The mesh must leave a margin of 4 % at two opposite edges of the picture, or at one edge if a target is given."""
+    """The mesh must leave a margin of 4 % at two opposite edges of the picture, or at one edge with ``target=``."""
     tube = wd.meshes.tube()
     tube.apply_transform(trimesh.transformations.translation_matrix((5, 6, 7)))
     view = View.fit(tube, direction, target=target, **size)
@@ -148,7 +148,8 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
     centre, moved = View.fit(box, turning=True), View.fit(box, target=(0.3, 0.2, -0.1), turning=True)
     assert moved.target == (0.3, 0.2, -0.1)
     np.testing.assert_allclose(moved.frame().back, centre.frame().back, atol=1e-12)
-    # All corners of the mesh must stay in the picture, for any rotation of the mesh around the target.
+    # All corners of the mesh must stay in the picture, for any rotation of the mesh around ``target``, the point in the
+    # middle.
     for angle in np.linspace(0.0, 2.0 * math.pi, 24):
         turned = trimesh.transformations.rotation_matrix(angle, (0, 1, 0), moved.target)
         assert shares(moved, trimesh.transform_points(box.vertices, turned)).max() < 1.0

@@ -219,7 +219,8 @@ def test_faces_perpendicular_to_the_axis_get_another_direction_with_a_warning():
 
 
 def test_a_face_whose_corners_all_lie_between_opposite_directions_gets_a_direction():
-    # Each corner of the first face has no direction, and two further neighbours with opposite directions.
+    # No corner of the first face has a direction of its own. Each corner has two further neighbouring vertices, whose
+    # directions are opposite.
     middle = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]])
     points = np.concatenate([middle, middle - [1, 1, 0], middle - [1, 2, 0]])
     body = trimesh.Trimesh(points, [[0, 1, 2], [0, 3, 6], [1, 4, 7], [2, 5, 8]], process=False)
@@ -255,7 +256,8 @@ def test_many_small_parts_have_their_own_fields_and_share_few_solves(monkeypatch
     smoothest = direction_fields._smoothest
     monkeypatch.setattr(direction_fields, "_smoothest", lambda *a: solves.append(1) or smoothest(*a))
     surface = prepare_surface(trimesh.util.concatenate(parts), tangents="smooth")
-    # Parts of equal size must be solved together. To solve all 3,041 parts separately would take half a minute.
+    # Direction fields on connected parts with equally many vertices must be computed together, as one batch of
+    # matrices. To solve all 3,041 parts separately would take half a minute.
     assert len(solves) < 20
     alone = [prepare_surface(kind, tangents="smooth").tangents for kind in kinds]
     np.testing.assert_allclose(surface.tangents, np.concatenate([alone[kind] for kind in chosen]), atol=0.02)

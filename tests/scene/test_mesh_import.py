@@ -213,8 +213,8 @@ def test_tangents_are_joined_across_seams_of_nearly_equal_direction(angle_deg, j
 
 
 def test_similar_tangents_at_one_position_are_joined():
-    # The triangles around a common point have separate vertices there. Their textures have different directions, and
-    # some textures are mirrored.
+    # The triangles around a point of the mesh have separate vertices there. Their textures have different directions,
+    # and some textures are mirrored.
     rng = np.random.default_rng(3)
     count = 40
     turn = 2.0 * math.pi * np.arange(count) / count

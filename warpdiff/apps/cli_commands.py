@@ -35,7 +35,7 @@ _MOST_PORT = 65_535
 
 
 def render(options: argparse.Namespace) -> None:
-    """Render a picture of a body and save it."""
+    """Render a picture of a mesh whose surface has a height field, and save it."""
     _check_output(options)
     settings = cli_inputs.settings_of(options, SinglePictureSettings) | {"wavelengths_nm": options.wavelengths_nm}
     if Path(options.output).suffix.lower() != ".exr":
@@ -49,7 +49,7 @@ def render(options: argparse.Namespace) -> None:
     background = None
     if environment is not None and options.environment_behind:
         # With a constant index of refraction, the colours of a picture are relative to the reflectance at normal
-        # incidence. The environment that is visible behind the body is therefore divided by this reflectance, too.
+        # incidence. The environment that is visible behind the mesh is therefore divided by this reflectance, too.
         normal, _ = check_reflection(settings.get("ior"), settings["material"])
         background = environment.background(view) / np.float32(normal)
     _save(image, options, background)
@@ -124,7 +124,7 @@ def sequence(options: argparse.Namespace) -> None:
 
 
 def export_html(options: argparse.Namespace) -> None:
-    """Write a web page that shows a body, which visitors can rotate."""
+    """Write a web page that shows a mesh, which visitors can rotate."""
     from warpdiff.apps.web_page.export_html import SUFFIXES
 
     target = files.check_output(options.output, SUFFIXES)

@@ -256,7 +256,7 @@ def _add_picture(flags: Flags, settings: type) -> None:
 
 
 def _add_map(flags: Flags) -> None:
-    """Add the flag of grating maps."""
+    """Add the flag ``--map`` of grating maps, which divide a surface into small rectangles with one grating each."""
     flags.parser.add_argument(
         "--map", action="append", metavar="NAME=VALUE",
         help="value of the dots of --heightfield over the texture coordinates: NAME is turn_deg, depth_scale or "

@@ -1,4 +1,4 @@
-"""Inputs of the command line: height fields, bodies, materials and lights that the values of flags describe."""
+"""Inputs of the command line: height fields, meshes, materials and lights that the values of flags describe."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ METAL_SYMBOLS = get_args(Metal)
 # has a copy of one grating. The quantities are the rotation of a copy, the factor of its heights, and that of its
 # lengths.
 _MAPPED = ("turn_deg", "depth_scale", "pitch_scale")
-# Flags of these arguments, as messages name them.
+# Flags that set the arguments of a grating map (small rectangles with one grating each), as messages name them.
 MAP_FLAGS = {name: f"--map {name}" for name in _MAPPED}
 # Value of ``--surface`` for a surface without a height field.
 _PLAIN = "plain"
@@ -165,7 +165,11 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
 
 
 def dots_of(texts: list[str] | None) -> dict[str, DotValues]:
-    """Return the arguments of a grating map by name, from the texts of ``--map`` flags; empty without flags."""
+    """Return the arguments of ``GratingMap`` by name, from the texts of ``--map`` flags; empty without flags.
+
+    A grating map divides a surface into small rectangles (dots). The arguments are the rotation of the grating in each
+    dot, and the factors of its heights and lengths.
+    """
     values: dict[str, DotValues] = {}
     for text in texts or ():
         name, equals, value = text.partition("=")
@@ -198,7 +202,8 @@ def _dot_value(text: str, name: str, value: str) -> Any:
     if len(ends) == 2 and all(isinstance(number, (int, float)) for number in numbers):
         return path, *numbers
     # A text with one comma is accepted as the name of a file, unless the text ends in a number. With two commas, both
-    # texts after the name must be numbers. An image for ``pitch_scale`` always needs the two numbers.
+    # texts after the name must be numbers. An image for ``pitch_scale`` always needs the two numbers, the values of
+    # black and white.
     if len(ends) == 2 or (ends and isinstance(numbers[-1], (int, float))) or name == "pitch_scale":
         raise ArgumentValueError(
             f"{ref('map')} must have two numbers after the image, the values of black and white, got {text!r}: write "

@@ -43,7 +43,7 @@ class LruCache(Generic[_T]):
         return len(self._values)
 
     def get(self, key: Hashable) -> _T | None:
-        """Return the value of a key, or None; the key becomes the most recently used one."""
+        """Return the value that the cache stores for a key, or None; the key becomes the most recently used one."""
         with _lock:
             value = self._values.get(key)
             if value is not None:
@@ -53,14 +53,14 @@ class LruCache(Generic[_T]):
             return value
 
     def put(self, key: Hashable, value: _T) -> None:
-        """Set the value of a key, which becomes the most recently used one."""
+        """Store a value in the cache for a key, which becomes the most recently used one."""
         with _lock:
             self._values.pop(key, None)
             self._values[key] = value
             self._trim()
 
     def get_or_make(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """Return the value of a key; make it if there is none.
+        """Return the value that the cache stores for a key; make and store it if there is none.
 
         Several threads may make the value at the same time. All of them get the value that was stored first.
         """
@@ -80,7 +80,7 @@ class LruCache(Generic[_T]):
 
     @property
     def nbytes(self) -> float:
-        """Total size of all values [bytes]."""
+        """Total size of all values in the cache [bytes]."""
         with _lock:
             return sum(self._bytes_of(value) for value in self._values.values())
 

@@ -45,7 +45,7 @@ _STALE_SECONDS = 3600.0
 
 
 class Entry(NamedTuple):
-    """File of the cache.
+    """File of the disk cache.
 
     Attributes:
         used: Time of the file's last use [s since 1970].

@@ -46,8 +46,8 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
     """
     free = available()
     if needed > free:
-        # The message states which fraction of the request would fit, rounded to two digits. The factor of 0.9 ensures
-        # that the rounded fraction fits, too.
+        # The message states which fraction of the requested object, such as a height field, would fit, rounded to two
+        # digits. The factor of 0.9 ensures that the rounded fraction fits, too.
         share = 0.9 * max(free, 0.0) / needed
         fits = remedy.format(share=f"{share:.2g}", side=f"{math.sqrt(share):.2g}")
         size = f"about {needed / 1e9:.2g} GB, and {max(free, 0.0) / 1e9:.2g} GB are free"

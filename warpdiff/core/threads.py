@@ -125,7 +125,7 @@ def subprogress(progress: Callable[[float], None] | None, begin: float, end: flo
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
-    """Yield consecutive ranges that cover 0 to ``size`` − 1. Their lengths decrease from ``most`` to ``least``.
+    """Yield consecutive ranges of indices that cover 0 to ``size`` − 1; their lengths fall from ``most`` to ``least``.
 
     With short ranges at the end, all threads finish at about the same time.
     """

@@ -64,7 +64,8 @@ def finite_array(
     if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
     if numbers.size > _MOST_UNCHECKED:
-        # A view, such as that of ``numpy.broadcast_to``, requires little memory itself, but its copy may not fit.
+        # A view of an array, such as ``numpy.broadcast_to`` returns, requires little memory itself, but its copy may
+        # not fit.
         memory.require_memory(
             bytes_per_number * numbers.size, f"{ref(name)} of shape {numbers.shape}", "take fewer numbers"
         )

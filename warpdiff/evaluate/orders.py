@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
 
 
-# A call warns if the sum of Stam's efficiencies deviates from the reflected power by more than this share of that
-# power. The value was chosen from gratings with a larger deviation: nine in ten of them have an order whose efficiency
-# differs from the rigorous solution by more than a tenth of the reflected power.
+# ``order_efficiencies`` warns if the sum of Stam's efficiencies deviates from the reflected power by more than this
+# share of that power. The value was chosen from gratings with a larger deviation: nine in ten of them have an order
+# whose efficiency differs from the rigorous solution by more than a tenth of the reflected power.
 _MOST_DEVIATION = 0.2
 # The sum of the efficiencies is divided by the reflectance of a flat surface. This reflectance counts as at least this
 # number, because the reflectance of an antireflective film may be 0 up to rounding.
@@ -383,8 +383,8 @@ def _normalised(
             result[part] = mirrors[part] * weights / (mirrors[part] @ weights)
         else:
             matrices.append(_OrderMatrix(heightfield, light, part, orders[part], views[part], wavelength_um))
-        # The matrices of many directions to the light share one set of Fourier transforms of the height field, which
-        # saves time.
+        # The matrices of order efficiencies of many directions to the light share one set of Fourier transforms of the
+        # height field, which saves time.
         if matrices and (part is parts[-1] or sum(matrix.size for matrix in matrices) > _MOST_TOGETHER):
             indices = np.concatenate([matrix.indices for matrix in matrices])
             w = np.concatenate([matrix.w.ravel() for matrix in matrices])

@@ -1,4 +1,4 @@
-"""Reflectance for arrays of light and view directions: XYZ, spectra, the absolute BRDF and hemispherical maps."""
+"""Reflectance for arrays of light and view directions: XYZ, spectra, the absolute BRDF, maps over all views."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ _DIRECT_SETTLED = 0.05
 # Maximum number of wavelengths of the direct method. The value is limited by computing time, which is proportional to
 # it; one direction with so many wavelengths requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Measured memory of calls [bytes]. Each direction requires `_BYTES_PER_DIRECTION`. In a spectrum, each pair of a
-# direction and a wavelength requires `_BYTES_PER_VALUE` in addition. Each direction of a reflectance map requires
-# `_BYTES_OF_MAP`.
+# Measured memory of calls of ``reflectance`` and similar functions [bytes]. Each direction requires
+# `_BYTES_PER_DIRECTION`. In a spectrum, each pair of a direction and a wavelength requires `_BYTES_PER_VALUE` in
+# addition. Each direction of a reflectance map requires `_BYTES_OF_MAP`.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 
@@ -294,7 +294,7 @@ def brdf(
 
 
 class _Call:
-    """Pairs of a light and a view direction of one call, with geometry factors (gains) and one plan for all pairs.
+    """Pairs of light and view directions of a call of ``reflectance`` or ``brdf``, with geometry factors and a plan.
 
     The plan holds the numbers of the computation, such as the number of wavelengths.
     """

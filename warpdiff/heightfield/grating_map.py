@@ -1,10 +1,10 @@
 """``GratingMap``: one grating whose direction, depth and pitch differ from dot to dot of a surface.
 
-A map is a matrix of dots over the texture coordinates of a mesh, as on a dot-matrix foil. All dots have the same
-grating, the cell, but each dot has its own turn φ, depth scale d and pitch scale p. In a dot, the cell is turned by φ,
-its heights are multiplied by d, and its lengths by p. The power spectrum of a dot at the scattering vector (u, v, w) is
-therefore that of the cell at (p R(−φ) (u, v), d w), where R(−φ) turns by −φ. One table of the power spectrum of the
-cell serves all dots.
+A grating map is a matrix of small rectangles (dots) over the texture coordinates of a mesh, as on a dot-matrix foil.
+All dots have the same grating, the cell, but each dot has its own turn φ, depth scale d and pitch scale p. In a dot,
+the cell is turned by φ, its heights are multiplied by d, and its lengths by p. The power spectrum of a dot at the
+scattering vector (u, v, w) is therefore that of the cell at (p R(−φ) (u, v), d w), where R(−φ) turns by −φ. One table
+of the power spectrum of the cell serves all dots.
 """
 
 from __future__ import annotations
@@ -28,33 +28,34 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.coherence import Coherence
 
-    # Type of the turns or scales of all dots of a map: a number or an array; or the path of a grey image; or a tuple of
-    # this path and the values for black and white.
+    # Type of the turns or scales of all dots (small rectangles) of a grating map: a number or an array; or the path of
+    # a grey image; or a tuple of this path and the values for black and white.
     DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
 
-# Largest turn (rotation of a dot) [degrees] that a map accepts: a hundred full turns. Larger numbers are probably no
-# angles in degrees.
+# Largest turn (rotation of a dot, a small rectangle) [degrees] that a grating map accepts: a hundred full turns. Larger
+# numbers are probably no angles in degrees.
 _MOST_TURN_DEG = 36_000.0
-# Range of the depth scales and pitch scales of a map, the factors of the cell's heights and lengths. Depth scales may
-# also be 0. A number beyond the range is probably a length instead of a factor.
+# Range of the depth scales and pitch scales of a grating map, the factors of the cell's heights and lengths. Depth
+# scales may also be 0. A number beyond the range is probably a length instead of a factor.
 LEAST_SCALE, MOST_SCALE = 1e-3, 1000.0
 # Largest ratio of two pitch scales (factors of the cell's lengths) in a map of gratings. The value is limited by
 # memory: the number of azimuth samples in the table of power spectra is proportional to this ratio.
 MOST_PITCH_RATIO = 4.0
-# Values of black and white in an image of turns [degrees] or of depth scales. The value 180° was chosen because a
-# symmetric grating has the same grooves after a rotation by 180°.
+# Values of black and white in an image whose pixels are the turns [degrees] or depth scales of the dots (small
+# rectangles) of a grating map. The value 180° was chosen because a symmetric grating has the same grooves after a
+# rotation by 180°.
 _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
-# Measured peak memory while a map of gratings is made [bytes per dot]: turns and scales in float64, four numbers in
-# float32 for kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
+# Measured peak memory while a grating map is made [bytes per dot (small rectangle)]: turns and scales in float64, four
+# numbers in float32 for kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
 
 
-# Columns of the table of a map that state the place of a dot.
+# Columns in the table of a grating map that state the row and the column of a dot (small rectangle) in the map.
 _PLACES = ("row", "column")
 
 
 class Dot(NamedTuple):
-    """Grating of one dot of a map, relative to the cell, the common grating of all dots.
+    """Grating of one dot (small rectangle) of a grating map, relative to the cell, the common grating of all dots.
 
     Attributes:
         turn_deg: Counter-clockwise turn [degrees].
@@ -70,9 +71,10 @@ class Dot(NamedTuple):
 class GratingMap(ReadOnlyArrays):
     """Grating whose direction, depth and pitch differ from dot to dot of a surface, for pictures of a mesh.
 
-    The dots are a matrix over the texture coordinates of the mesh. Row 0 is at v = 1 and column 0 at u = 0, as in an
-    image. A ray has the grating of the dot that contains its hit. Dots have sharp edges, and the matrix is repeated
-    beyond the texture coordinates 0 to 1. The edges of dots and the phase between dots do not diffract light.
+    The dots are small rectangles, which form a matrix over the texture coordinates of the mesh. Row 0 is at v = 1 and
+    column 0 at u = 0, as in an image. A ray has the grating of the dot that contains its hit. Dots have sharp edges,
+    and the matrix is repeated beyond the texture coordinates 0 to 1. The edges of dots and the phase between dots do
+    not diffract light.
 
     Turn, depth scale and pitch scale are each a number for all dots, an array with one number per dot, or a grey image.
     An image is the path of a file, or a tuple ``(path, black, white)`` of the path and the values of black and of full
@@ -80,9 +82,9 @@ class GratingMap(ReadOnlyArrays):
     floats from 0 to 1. If only the path is given, black and white are 0° and 180° for ``turn_deg``, and 0 and 1 for
     ``depth_scale``; ``pitch_scale`` requires the tuple.
 
-    Pictures use ``Coherence("source")`` for a map, unless a coherence is stated for the surface or for the picture. If
-    the pitch scale differs between dots, the coherence must be a source or an averaged window. Under an averaged
-    window, colours are interpolated between tables for several pitch scales, within the tolerance.
+    Pictures use ``Coherence("source")`` for a grating map, unless a coherence is stated for the surface or for the
+    picture. If the pitch scale differs between dots, the coherence must be a source or an averaged window. Under an
+    averaged window, colours are interpolated between tables for several pitch scales, within the tolerance.
 
     Args:
         cell: Height field of a dot with turn 0 and both scales 1. It is one patch or period whose opposite edges match.
@@ -157,31 +159,31 @@ class GratingMap(ReadOnlyArrays):
 
     @property
     def cell(self) -> HeightField:
-        """Common grating of all dots: height field of a dot with turn 0, depth scale 1 and pitch scale 1."""
+        """Common grating of all dots (rectangles of the map), with turn 0, depth scale 1 and pitch scale 1."""
         return self._cell
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns of the matrix of dots."""
+        """Numbers of rows and columns of the matrix of dots (small rectangles of a surface)."""
         return self._shape
 
     @property
     def turn_deg(self) -> NDArray[np.float64]:
-        """Counter-clockwise turns of the dots [degrees], shape (rows, columns), read-only."""
+        """Counter-clockwise turns of the dots (rectangles) of the map [degrees], shape (rows, columns), read-only."""
         return self._values["turn_deg"]
 
     @property
     def depth_scale(self) -> NDArray[np.float64]:
-        """Factors of the heights of the dots, shape (rows, columns), read-only."""
+        """Factors of the heights of the dots (small rectangles) of the map, shape (rows, columns), read-only."""
         return self._values["depth_scale"]
 
     @property
     def pitch_scale(self) -> NDArray[np.float64]:
-        """Factors of the lengths of the dots, shape (rows, columns), read-only."""
+        """Factors of the lengths of the dots (small rectangles) of the map, shape (rows, columns), read-only."""
         return self._values["pitch_scale"]
 
     def dot(self, row: int, column: int) -> Dot:
-        """Return the grating of one dot, by its row and column.
+        """Return the grating of one dot (small rectangle of the map), by its row and column.
 
         Args:
             row: Row of the dot, 0 to rows − 1, from the top.
@@ -200,7 +202,8 @@ class GratingMap(ReadOnlyArrays):
     def table(self) -> Table:
         """Return a table with a line per dot: row, column, ``turn_deg``, ``depth_scale`` and ``pitch_scale``.
 
-        ``save("dots.csv")`` writes it to a file, for programs that expose dots; :meth:`load` reads such a file.
+        Dots are the small rectangles of the map. ``save("dots.csv")`` writes the table to a file, for programs that
+        expose dots; :meth:`load` reads such a file.
 
         Examples:
             >>> import warpdiff as wd
@@ -216,7 +219,7 @@ class GratingMap(ReadOnlyArrays):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], cell: HeightField) -> GratingMap:
-        """Read a map from a CSV file with a line per dot, as ``save`` writes it, in any order of lines and columns.
+        """Read a grating map from a CSV file of ``save``, with a line per dot and any order of lines and columns.
 
         Args:
             path: File with the columns ``row`` and ``column``, which count from 0, and at least one of ``turn_deg``,
@@ -244,7 +247,8 @@ class GratingMap(ReadOnlyArrays):
             )
         places = np.stack([columns[name] for name in _PLACES])
         sides = places.max(axis=1) + 1.0
-        # Each dot occurs once if there are as many lines as dots, and no two lines have the same place.
+        # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no two
+        # lines have the same row and column.
         is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
         if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
             raise ArgumentValueError(
@@ -263,20 +267,24 @@ class GratingMap(ReadOnlyArrays):
 
     @property
     def has_one_pitch(self) -> bool:
-        """Whether all dots have the same pitch scale, the factor of the cell's lengths."""
+        """Whether all dots (rectangles of the map) have the same pitch scale, the factor of lengths."""
         return self._pitch_range[0] == self._pitch_range[1]
 
     @property
     def has_one_shape(self) -> bool:
-        """Whether all dots have the same pitch scale and depth scale, so that they differ only in their turn."""
+        """Whether all dots have the same pitch scale and depth scale, so that they differ only in their turn.
+
+        Dots are small rectangles of the surface. Each dot has a copy of the same grating.
+        """
         return self.has_one_pitch and float(np.ptp(self.depth_scale)) == 0.0
 
     @forks.cached_property
     def reference(self) -> HeightField:
         """The cell with the largest depth scale and pitch scale of the map; a table of its spectrum serves all dots.
 
-        Relative to this field, no dot has a scale above 1. The scattering vectors at which dots read a table are
-        therefore not longer than those of the surface: |(u, v)| and |w| are at most 2.
+        Dots are small rectangles of the surface. Relative to this field, no dot has a scale above 1. The scattering
+        vectors at which dots read a table are therefore not longer than those of the surface: |(u, v)| and |w| are at
+        most 2.
         """
         depth, pitch = float(self.depth_scale.max()), self._pitch_range[1]
         if depth == 1.0 and pitch == 1.0:
@@ -287,9 +295,9 @@ class GratingMap(ReadOnlyArrays):
     def table_coherence(self, coherence: Coherence) -> Coherence:
         """Return the coherence for which the table of power spectra of :attr:`reference` is made.
 
-        A source of the angular spread s blurs the scattering vectors of a dot by p s, where p is the pitch scale of the
-        dot relative to :attr:`reference`. The table for a source is made with the blur of the smallest p. Look-ups for
-        dots with a larger p add the rest of the blur, see :attr:`transforms`.
+        A source of the angular spread s blurs the scattering vectors of a dot (small rectangle of the map) by p s,
+        where p is the pitch scale of the dot relative to :attr:`reference`. The table for a source is made with the
+        blur of the smallest p. Look-ups for dots with a larger p add the rest of the blur, see :attr:`transforms`.
         """
         least, most = self._pitch_range
         if coherence.angular_diameter_deg is None or least == most:
@@ -301,7 +309,7 @@ class GratingMap(ReadOnlyArrays):
         """Numbers that transform scattering vectors, four per dot, shape (rows, columns, 4), float32.
 
         The four numbers are p cos φ, p sin φ, d, and the ratio of p to the smallest p of the map. φ is the turn of the
-        dot. p and d are its pitch scale and depth scale relative to :attr:`reference`.
+        dot, a small rectangle of the map. p and d are its pitch scale and depth scale relative to :attr:`reference`.
         """
         turn = np.radians(self.turn_deg % 360.0)
         least, most = self._pitch_range
@@ -316,7 +324,10 @@ class GratingMap(ReadOnlyArrays):
 def _checked(
     value: object, name: str, *, least: float, most: float
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return turns or scales of dots from a number, an array or an image: shape (rows, columns), or () for a number."""
+    """Return turns or scales of dots from a number, an array or an image: shape (rows, columns), or () for a number.
+
+    Dots are the small rectangles of a grating map.
+    """
     if _is_image(value):
         numbers = _from_image(value, name)
     else:
@@ -342,7 +353,10 @@ def _is_image(value: object) -> bool:
 
 
 def _from_image(value: Any, name: str) -> NDArray[np.float64]:
-    """Return turns or scales of dots from a grey image; they are linear between the values of black and of white."""
+    """Return turns or scales of dots from a grey image; they are linear between the values of black and of white.
+
+    Dots are the small rectangles of a grating map. Each dot has the value of one pixel of the image.
+    """
     ends = _BLACK_AND_WHITE.get(name)
     if isinstance(value, tuple):
         if len(value) != 3:

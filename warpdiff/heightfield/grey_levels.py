@@ -1,4 +1,4 @@
-"""Grey levels of images, from 0 for black to 1 for white; each pixel gives a value to one dot of a grating map."""
+"""Grey levels of images, 0 for black to 1 for white: one pixel for each dot (rectangle) of a grating map."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Hidden pictures: a card of dots that shows one picture to one eye, and another picture to another eye.
 
-All dots have the same grating, but each dot turns it, and has its own depth scale, the factor of the heights.
+Dots are small rectangles of the card. All dots have the same grating, but each dot turns it, and has its own depth
+scale, the factor of the heights.
 """
 
 from __future__ import annotations
@@ -22,15 +23,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Number of depth scales (factors of the heights of a dot) at which the power of the first order is tabulated. The value
-# was chosen so that the error of linear interpolation between them is below 1e-4 of the largest power.
+# Number of depth scales (factors of the heights of a dot, a small rectangle of the card) at which the power of the
+# first order is tabulated. The value was chosen so that the error of linear interpolation between them is below 1e-4 of
+# the largest power.
 _DEPTHS = 513
 # Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. The angular
-# diameter of the sun (0.53°) blurs diffraction orders. With half of this angle, each eye would also see the dots of the
-# other picture.
+# diameter of the sun (0.53°) blurs diffraction orders. With half of this angle, each eye would also see the dots (small
+# rectangles) of the other picture.
 _LEAST_ANGLE_DEG = 2.0
 # Smallest component along the normal of the card, for unit vectors to the eyes and to the light. The value is limited
-# because kernels treat directions with a smaller component as below the horizon, where dots are black.
+# because kernels treat directions with a smaller component as below the horizon, where the dots (small rectangles) of
+# the card are black.
 _LEAST_ELEVATION = 1e-6
 
 
@@ -39,13 +42,13 @@ def hidden_pictures(
     eyes: Sequence[Sequence[float]], to_light: Sequence[float], *, cell: HeightField, width: float = 1.0,
     wavelength_nm: float = 545.0,
 ) -> GratingMap:  # fmt: skip
-    """Make a map for a flat card that shows one picture to one eye, and another picture to another eye.
+    """Make a grating map for a flat card that shows one picture to one eye, and another picture to another eye.
 
-    The dots of a checkerboard belong to the two pictures in turn. The pitch and the turn of a dot aim its first
-    diffraction order at ``wavelength_nm`` at the eye of its picture, from the dot's own place on the card. The depth
-    makes the luminance of the dot proportional to the picture, with the same maximum for both eyes. The card is
-    ``wd.meshes.card(width)`` with the height of the picture: it lies in the xy plane around the origin, with x to the
-    right, and faces +z.
+    The dots (small rectangles) form a checkerboard and belong to the two pictures in turn. The pitch and the turn of a
+    dot aim its first diffraction order at ``wavelength_nm`` at the eye of its picture, from the dot's own place on the
+    card. The depth makes the luminance of the dot proportional to the picture, with the same maximum for both eyes. The
+    card is ``wd.meshes.card(width)`` with the height of the picture: it lies in the xy plane around the origin, with x
+    to the right, and faces +z.
 
     The luminance of dots assumes ``Coherence("source")``, an index of refraction of infinity and no masking. Other
     materials change both pictures alike.
@@ -61,7 +64,7 @@ def hidden_pictures(
         wavelength_nm: Wavelength that arrives at the eyes, 380 to 780, default 545, green.
 
     Returns:
-        A map of rows × columns dots.
+        A grating map of rows × columns dots.
 
     Raises:
         FileNotFoundError: A picture is a path without a file.
@@ -112,7 +115,10 @@ def _aimed(
     pictures: NDArray[np.float64], eyes: NDArray[np.float64], to_light: NDArray[np.float64], cell: HeightField,
     width: float, wavelength_um: float,
 ) -> GratingMap:  # fmt: skip
-    """Return the map of a card whose dots diffract their first order to the eyes; the arguments are already checked."""
+    """Return the grating map whose dots diffract their first order to the eyes; the arguments are already checked.
+
+    Dots are small rectangles of the card, each with a grating.
+    """
     rows, columns = pictures.shape[1:]
     row, column = np.indices((rows, columns))
     of_dot = (row + column) % 2
@@ -163,10 +169,10 @@ def _largest_luminance(
 ) -> NDArray[np.float64]:
     """Return relative luminances of dots if the first orders of all dots had equal powers |H|², shape (rows, columns).
 
-    H is the Fourier coefficient of the order. Under an extended source, an eye sees the order of the frequency q in a
-    range of wavelengths that is proportional to 1/√(qᵀ Σ⁻¹ q). Σ is the covariance of the scattering vectors (u, v) of
-    the source. Its inverse is proportional to 1 + t tᵀ/cos²θ, where t is the tangential part of the unit vector to the
-    light, and θ is the angle of the light from the normal.
+    A dot is a small rectangle of a card. H is the Fourier coefficient of the order. Under an extended source, an eye
+    sees the order of the frequency q in a range of wavelengths that is proportional to 1/√(qᵀ Σ⁻¹ q). Σ is the
+    covariance of the scattering vectors (u, v) of the source. Its inverse is proportional to 1 + t tᵀ/cos²θ, where t is
+    the tangential part of the unit vector to the light, and θ is the angle of the light from the normal.
     """
     lights = np.broadcast_to(to_light, to_eye.shape)
     gains = reflectance_factors.gain(
@@ -181,8 +187,8 @@ def _depth_scales(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the smallest depth scales for which the first order has the fractions ``power`` of its largest power.
 
-    A depth scale is the factor of the heights of a dot. The power of the first order depends on the product of depth
-    scale and κ = |w|/λ [1/µm]. It increases from 0 to its first maximum.
+    A depth scale is the factor of the heights of a dot, a small rectangle of the card. The power of the first order
+    depends on the product of depth scale and κ = |w|/λ [1/µm]. It increases from 0 to its first maximum.
     """
     heights = cell.heights_um[0] - cell.heights_um[0].mean()
     range_um = cell.height_range_um

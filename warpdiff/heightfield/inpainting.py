@@ -89,8 +89,8 @@ def _equations(
         for one, other, height in ((before, after, height_after), (after, before, height_before)):
             unknown = one >= 0
             row, column = one[unknown], other[unknown]
-            # In one direction, a missing sample has at most one neighbour, so that each index in `row` occurs once.
-            # Additions to an indexed array are correct only if no index occurs twice.
+            # In one direction, a missing sample has at most one neighbour, so that each index of an equation in `row`
+            # occurs once. Additions to an indexed array are correct only if no index occurs twice.
             diagonal[row] += weight
             target[row] += weight * height[unknown]
             both = column >= 0

@@ -26,7 +26,8 @@ LEAST_SAMPLES = 3.0
 # A field counts as flat if the standard deviation of its heights, relative to the largest absolute height, is below
 # this value.
 _ROUNDING = 1e-10
-# Cache of the periods that were found in each height field: tuples of periods, by the argument ``count`` of the call.
+# Cache of the periods that were found in each height field: tuples of periods, by the argument ``count`` of
+# `HeightField.periods`.
 _found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = weakref.WeakKeyDictionary()
 
 

@@ -153,7 +153,7 @@ class Roughness:
         return "\n".join(f"{parameter.name:<4} {parameter}" for parameter in self.parameters)
 
     def table(self) -> Table:
-        """Return a table with a row per parameter; NaN if a parameter has no value or no standard error.
+        """Return a table with a row per roughness parameter; NaN if a parameter has no value or no standard error.
 
         Examples:
             >>> import warpdiff as wd
@@ -250,7 +250,7 @@ def _no_error(blocks: int) -> str:
 
 
 def _missing_values(values: dict[str, float], decay: Decay, *, is_profile: bool) -> dict[str, str]:
-    """Return the reasons why some parameters have no value, by the name of the parameter."""
+    """Return the reasons why some roughness parameters have no value, by the name of the parameter."""
     reasons = {
         name: "no two measured samples are neighbours" for name in ("Sdq", "Sdr") if not math.isfinite(values[name])
     }

@@ -88,7 +88,7 @@ class Line:
     excess: float
 
     def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the background (power without the line) per Fourier coefficient, at frequencies near the line.
+        """Return the background (power without the spectral line) per Fourier coefficient at frequencies near the line.
 
         Frequencies are in cycles over the field.
         """

@@ -238,7 +238,7 @@ class WaveSearch:
         return fitted, np.where(self.known, heights - sine, 0.0)
 
     def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[Wave, WindowedSpectrum]:
-        """Fit a wave of nearly constant frequency, and subtract it from the heights; return it and the new spectrum."""
+        """Fit a wave of nearly constant frequency, and subtract it; return it and the spectrum of the other heights."""
         fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
         residual = np.where(self.known, self.heights - fit.heights(), 0.0)
         frequency = float(np.hypot(*fit.q))

@@ -75,7 +75,7 @@ SRGB_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 # becomes 1. The second number is derived from monochromatic light, whose chroma is at most 3.96, at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
 # Number of hues for which the largest chroma in Display P3 is tabulated, one per 0.25°. The value was chosen so that
-# linear interpolation between the hues suffices. If doubled, the table takes twice as long.
+# linear interpolation between the hues suffices. If doubled, computing the table takes twice as long.
 _HUES = 1440
 # Largest linear RGB component that is passed to ACES. Larger components are replaced by this number. ACES displays this
 # number as white already, and much larger components would overflow.
@@ -138,8 +138,8 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
 
 def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
     """Return the factor by which linear colours are multiplied before display, by the options and the luminances."""
-    # The automatic factor of a nearly black picture may be so large that float32 overflows. The factor is therefore
-    # limited.
+    # The automatic exposure factor of a nearly black picture may be so large that float32 overflows. The factor is
+    # therefore limited.
     factor = shown.exposure or min(auto_exposure(luminances, shown.display), validation.MOST)
     return float(factor * 2.0**shown.exposure_stops)
 

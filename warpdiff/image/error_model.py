@@ -20,9 +20,10 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# The estimated relative error of a pixel is the error that the plan predicts at the 99th percentile of directions,
-# times a (c/‖XYZ‖)^(1/8). Here c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours, and a is this number.
-# It is below 1, because a pixel averages many directions. The number was fitted as the module's docstring describes.
+# The estimated relative error of a pixel is the error that the plan (numbers of the computation) predicts at the 99th
+# percentile of directions, times a (c/‖XYZ‖)^(1/8). Here c is the largest ‖ΔXYZ‖ between the pixel and its four
+# neighbours, and a is this number. It is below 1, because a pixel averages many directions. The number was fitted as
+# the module's docstring describes.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # A pixel has two independent errors: the error of the colours, and the error of the subdivision into subpixel cells.
 # The root of the sum of their squares is multiplied by this factor, so that the product bounds 95 % of all errors. The

@@ -63,7 +63,7 @@ class FilePart:
     metadata: Mapping[str, str | float | tuple[float, ...]] = field(default_factory=dict)
 
     def spec(self, oiio: Any) -> Any:
-        """Return the header of the part as OpenImageIO's ``ImageSpec``."""
+        """Return the header of this part of a picture file as OpenImageIO's ``ImageSpec``."""
         height, width, count = self.pixels.shape
         spec = oiio.ImageSpec(width, height, count, str(self.pixels.dtype).replace("float32", "float"))
         spec.channelnames = self.channels

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# The rounding of edges in manufacture is computed with a Gaussian. The number is the least number of samples per
+# The rounding of edges in manufacture is computed with a Gaussian. The number is the least number of height samples per
 # standard deviation of this Gaussian. Fewer samples do not resolve it.
 _PER_EDGE = 2.0
-# Least standard deviation of the Gaussian that rounds edges, relative to the distance of the design's samples. The
-# value is limited by time and memory: the number of samples along an axis that resolve the Gaussian is proportional to
-# its reciprocal. At this value, the number of samples is 200 times that of the design.
+# Least standard deviation of the Gaussian that rounds edges, relative to the distance of the height samples of the
+# design. The value is limited by time and memory: the number of samples along an axis that resolve the Gaussian is
+# proportional to its reciprocal. At this value, the number of samples is 200 times that of the design.
 _SHARPEST_EDGE = 0.01
 # Measured peak memory while edges are rounded and efficiencies are computed [bytes per sample]. If doubled, sharp edges
 # are refused whose samples would fit into memory.
@@ -283,7 +283,10 @@ def make_design(
 
 
 def achieved_values(surface: HeightField, targets: Sequence[Target], tilt_deg: float = 0.0) -> list[Array]:
-    """Return XYZ or efficiencies of each target, for a surface that is turned about the y axis."""
+    """Return XYZ or efficiencies of each target, for a surface that is turned about the y axis.
+
+    A target is a requested colour, or the requested efficiencies of some orders.
+    """
     angle = math.radians(tilt_deg)
     turn = np.array(
         [[math.cos(angle), 0.0, -math.sin(angle)], [0.0, 1.0, 0.0], [math.sin(angle), 0.0, math.cos(angle)]]

@@ -54,9 +54,9 @@ _PENALTIES = (10.0, 100.0, 1000.0, 10_000.0)
 # Number of random starts of a search that are continued after their first iterations, those with the least loss. The
 # value was chosen because the third start hardly ever gives the best design.
 _CONTINUED = 2
-# If the user states levels but no depth, the depth of the pixels is adjusted within this range. It is relative to the
-# depth at which the levels divide a full cycle of the phase of the reflected light. The best depth is inside the range:
-# the loss is larger at both of its ends.
+# If the user states height levels but no depth, the depth of the pixels is adjusted within this range. It is relative
+# to the depth at which the levels divide a full cycle of the phase of the reflected light. The best depth is inside the
+# range: the loss is larger at both of its ends.
 _DEPTH_RANGE = 0.8, 1.2
 # Largest depth of pixels [µm]. The value is limited because scalar diffraction does not describe deeper pixels.
 _DEEPEST_UM = 10.0
@@ -178,7 +178,7 @@ def design(
 
 
 def _checked_targets(targets: Sequence[Target]) -> list[Target]:
-    """Return the targets as a list; raise an error for an empty list and for other objects than targets."""
+    """Return the targets (requested colours or orders) as a list; raise an error for an empty list or other objects."""
     if not isinstance(targets, (Target, list, tuple)):
         raise ArgumentTypeError(f"{ref('targets')} must be a list of warpdiff.Target, got {type(targets).__name__}")
     result: list[Target] = [targets] if isinstance(targets, Target) else list(targets)
@@ -265,13 +265,13 @@ class _Search:
         self._rows: list[tuple[int, str, int, float]] = []
 
     def history(self) -> Table:
-        """Return a table with a row per stage of each random start: the number of evaluations, and the loss."""
+        """Return a table with a row per stage of each random start: number of evaluations of the loss, and the loss."""
         names = ("start", "stage", "evaluations", "loss")
         return Table(dict(zip(names, map(np.array, zip(*self._rows, strict=True)), strict=True)))
 
     @property
     def _wraps(self) -> bool:
-        """Whether heights that differ by a full cycle of the phase are equivalent for all targets.
+        """Whether heights that differ by a full cycle of the phase are equivalent for all targets (colours or orders).
 
         The cycle is the height that changes the phase of the reflected light by 2π. Colours have no common cycle,
         because they are sums over wavelengths. With levels, the levels must also divide the cycle, so that the level
@@ -288,7 +288,7 @@ class _Search:
 
     @property
     def _is_normalised(self) -> bool:
-        """Whether a target requests normalised efficiencies, which are scaled so that they conserve energy."""
+        """Whether a target of the design requests normalised efficiencies, which are scaled to conserve energy."""
         return any(target.optics.energy != "stam" for target in self._targets)
 
     @property
@@ -318,7 +318,10 @@ class _Search:
         return free._replace(x=np.minimum(free.x % cycle, top))
 
     def refined(self, candidate: _Candidate) -> _Candidate:
-        """Continue the minimisation of the loss from a start, without levels; normalise efficiencies if requested."""
+        """Continue the minimisation of the loss from a random start, without height levels.
+
+        If a target requests normalised (energy-conserving) efficiencies, they are normalised here.
+        """
         blocks = self._blocks
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS
@@ -366,7 +369,7 @@ class _Search:
         return _Candidate(start, loss, result.x[:-1], float(result.x[-1]))
 
     def stepped(self, candidate: _Candidate, rng: np.random.Generator) -> tuple[_Candidate, float]:
-        """Draw heights to levels by a penalty, round them to levels, and change the levels of single pixels.
+        """Draw pixels to the permitted height levels by a penalty, round them, and change the levels of single pixels.
 
         Return the result and its depth [µm].
         """
@@ -395,15 +398,17 @@ class _Search:
                 log_exposure=log_exposure,
                 penalty=penalty,
             )[2:]
-        # If the levels divide a full cycle of the phase, the level above the highest one is equivalent to the lowest.
+        # If the height levels of pixels divide a full cycle of the phase, the level above the highest one is equivalent
+        # to the lowest.
         indices = np.rint(x / step).astype(np.int64)
         indices = (indices % count if self._wraps else np.clip(indices, 0, count - 1)).reshape(self._blocks.pixels)
         depth = 0.5 * (low + high)
         rules: list[tuple[Pixels, Rule | None]] = [(self._blocks, None)]
         if self._limits.feature > 1 and self._pixels.pixels[0] == 1:
             rules.append((self._pixels, edge_moves(self._limits.feature)))
-        # The exchange of pixels keeps the factors from Stam's efficiencies to normalised ones constant, although they
-        # depend on the heights. It is therefore repeated with the factors of the new heights.
+        # The search that changes the levels of single pixels keeps the factors from Stam's efficiencies to normalised
+        # ones constant, although they depend on the heights. It is therefore repeated with the factors of the new
+        # heights.
         if self._is_normalised:
             rules.append(rules[-1])
         for pixels, rule in rules:

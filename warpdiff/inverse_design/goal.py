@@ -167,7 +167,7 @@ class Goal:
         return np.asarray(result.value[0])
 
     def costs(self, values: list[Array], log_exposure: float) -> Array:
-        """Return the loss for the values of all groups: efficiencies, shape (n,), or colours, shape (n, 3).
+        """Return the loss for the values of all groups of targets: efficiencies, shape (n,), or colours, shape (n, 3).
 
         ``log_exposure`` is the logarithm of the common factor of all colours. The values may be those of several
         surfaces, along leading axes: shapes (..., n) or (..., n, 3). The loss then has the shape (...).
@@ -268,7 +268,7 @@ def places_of(target: Target, surface: HeightField | Outline) -> NDArray[np.int6
 
 
 class silenced(warnings.catch_warnings):  # noqa: N801 (a context, like its base class)
-    """Context that hides the library's warnings, because those about trial surfaces do not concern the user."""
+    """Context that hides the library's warnings, which concern surfaces that are only tried and not the result."""
 
     def __enter__(self) -> None:
         """Ignore warnings."""

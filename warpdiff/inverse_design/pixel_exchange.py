@@ -144,7 +144,7 @@ class PixelExchange:
         Args:
             goal: Loss of the targets, with the factors from Stam's efficiencies to normalised ones.
             profile: Profile whose pixels are exchanged.
-            count: Number of levels.
+            count: Number of height levels.
         """
         surface = profile.surface(profile.start)
         self._goal, self._shape, self._count = goal, profile.pixels, count
@@ -180,7 +180,7 @@ class PixelExchange:
         return np.asarray(np.exp(-2j * np.pi * np.outer(self._kappas, heights)))
 
     def by_level(self, levels: Indices) -> NDArray[np.complex128]:
-        """Return, for each Fourier coefficient, the sum of ``basis`` over the pixels of each level, (p, levels).
+        """Return, for each Fourier coefficient, the sum of ``basis`` over the pixels of each height level, (p, levels).
 
         ``basis`` is the contribution of a pixel with height 0 to the coefficient.
         """
@@ -191,9 +191,10 @@ class PixelExchange:
         return result
 
     def best_depth(self, levels: Indices, log_exposure: float, depths_um: tuple[float, float]) -> tuple[float, float]:
-        """Return the depth [µm] and the logarithm of the exposure with the least loss, for given levels of the pixels.
+        """Return the depth [µm] and the logarithm of the exposure with the least loss, for given levels of pixels.
 
-        The exposure is the common factor of all colours. ``depths_um`` is the least and the largest accepted depth.
+        Levels are the permitted heights. The exposure is the common factor of all colours. ``depths_um`` is the least
+        and the largest accepted depth.
         """
         sums = self.by_level(levels)
         low, high = depths_um
@@ -224,10 +225,10 @@ class PixelExchange:
         self, levels: Indices, log_exposure: float, depths_um: tuple[float, float], rng: np.random.Generator,
         allowed: Rule | None = None,
     ) -> tuple[Indices, float, float]:  # fmt: skip
-        """Change the levels of single pixels until no change improves the design.
+        """Change the height levels of single pixels until no change improves the design.
 
         Args:
-            levels: Level of each pixel, shape (ny, nx).
+            levels: Index of the height level of each pixel, shape (ny, nx).
             log_exposure: Logarithm of the exposure, the common factor of all colours.
             depths_um: Least and largest depth [µm].
             rng: Random generator of the sequence in which pixels are tried.
@@ -282,7 +283,7 @@ def _sums(orders: Indices, pixels: int, samples: int) -> NDArray[np.complex128]:
 
 
 def edge_moves(least: int) -> Rule:
-    """Return the rule that lists the levels to which a pixel of a single row may change.
+    """Return the rule that lists the height levels to which a pixel of a single row may change.
 
     A run is a group of neighbouring pixels of equal level. No run becomes shorter than ``least`` pixels. Only pixels at
     the ends of runs change, to the level of the neighbouring run, so that an edge moves by a pixel.

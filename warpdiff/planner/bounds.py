@@ -4,9 +4,10 @@ A plan holds the method and the numbers of a computation. The terms are those of
 coefficient is expanded. The coefficients are the Fourier coefficients whose sum is the light of a direction. "Patch"
 means the area of the height field. "Source" means a light source of finite size (coherence of the kind "source").
 
-"All directions" are the directions within the range of a call. Calls with few directions use the upper-bound plan
-directly. For calls with many directions, a search for a cheaper plan starts from the upper-bound plan. The search
-measures errors against a plan with more wavelengths than the upper-bound plan.
+A call is one call of a public function, such as ``wd.reflectance``. "All directions" are those within the range of the
+directions of a call. Calls with few directions use the upper-bound plan directly. For calls with many directions, a
+search for a cheaper plan starts from the upper-bound plan. The search measures errors against a plan with more
+wavelengths than the upper-bound plan.
 """
 
 from __future__ import annotations
@@ -37,17 +38,18 @@ if TYPE_CHECKING:
 # diffraction orders may be only 0.03 of the amplitude of the mirror reflection. If the number was doubled, surfaces
 # that have only weak orders could exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
-# Fourier coefficients with a smaller Gaussian weight are excluded from the sum of a direction. The weight is a share of
-# the tolerance. The key is True if the powers of Fourier coefficients add, and False if their amplitudes add. The entry
-# for powers was derived from the zeroth order, whose peak has the power 1. If all directions of a call are far from
-# this peak, they may be darker than the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance
-# of these directions. The product of both factors is 1e-8. The entry for amplitudes was derived as the square root of
-# the entry for powers, 1e-4, divided by 100 as a margin. If the entries were doubled, the errors of the darkest calls
-# would exceed the tolerance, because tails of the zeroth order would be missing.
+# Smallest Gaussian weight, as a share of the tolerance, of a Fourier coefficient in the sum of the light of a
+# direction. Coefficients with a smaller weight are excluded. The key of an entry is True if the powers of Fourier
+# coefficients add, and False if their amplitudes add. The entry for powers was derived from the zeroth order, whose
+# peak has the power 1. If all directions of a call are far from this peak, they may be darker than the peak by a factor
+# of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions. The product of both factors is
+# 1e-8. The entry for amplitudes was derived as the square root of the entry for powers, 1e-4, divided by 100 as a
+# margin. If the entries were doubled, the errors of calls with only dark directions would exceed the tolerance, because
+# tails of the zeroth order would be missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# Least Gaussian weight of Fourier coefficients, as a share of the tolerance, for plans that were not tested on sampled
-# directions. The number was derived from the darkest calls, whose luminance may be as small as 1e-10 of the luminance
-# of a mirror (DARK).
+# Least Gaussian weight of Fourier coefficients, as a share of the tolerance, for plans (numbers of computations) that
+# were not tested on sampled directions. The number was derived from calls with only dark directions, whose luminance
+# may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require. The
 # number was fitted for the illuminants D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4
@@ -80,13 +82,17 @@ _SAMPLES_PER_ORDER = 8.0
 # Largest number of wavelengths that are sampled to compute a colour. The value is limited by computing time, which is
 # proportional to it. With this number, one direction already requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Largest number of wavelengths for a source whose light arrives near the horizon. The foreshortening of the source near
-# the horizon increases the required number without bound. This number suffices for a foreshortening by a factor of 50.
+# Largest number of wavelengths for a light source of finite size near the horizon. The foreshortening of the source
+# near the horizon increases the required number without bound. This number suffices for a foreshortening by a factor of
+# 50.
 _MOST_GRAZING = 16_384
 
 
 def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, method: str, tolerance: float) -> Plan:
-    """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of ``request``."""
+    """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of ``request``.
+
+    An upper-bound plan holds numbers of terms, coefficients and wavelengths that suffice for any surface.
+    """
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
     # The methods ``"power"`` and ``"low-rank"`` have no series of their own. The basis functions of both methods are
@@ -122,7 +128,7 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """Return the plan with a smaller least weight, if powers add: it then includes more Fourier coefficients.
+    """Return the plan with a smaller least weight of Fourier coefficients if their powers add: more are then included.
 
     This is for plans that were not tested on sampled directions. All directions of the call may be very dark, and the
     tails of bright diffraction orders then matter.

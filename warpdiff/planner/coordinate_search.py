@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Largest number of repairs of a plan whose error on the validation set is too large. A repair refines each coordinate
-# (a parameter, such as the number of terms) of the plan separately, and uses the best of the resulting plans. The first
-# repair refines by one step. Each further repair refines by twice as many steps as the repair before. The value was
-# chosen so that a search tries fewer than fifty plans.
+# Largest number of repairs of a plan whose error on the validation set (sampled directions of a call) is too large. A
+# repair refines each coordinate (a parameter, such as the number of terms) of the plan separately, and uses the best of
+# the resulting plans. The first repair refines by one step. Each further repair refines by twice as many steps as the
+# repair before. The value was chosen so that a search tries fewer than fifty plans.
 _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
 # 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
@@ -50,13 +50,14 @@ _OCTAVES = 3
 # get a slightly more expensive plan than a call with a smaller one.
 _GRID_TOLERANCE = 1e-2
 # Number of bright validation directions below which a search uses only a part of its error budget. A direction is
-# bright if its luminance is at least about 1e-3 of that of the brightest ones. Fewer directions do not represent the
-# bright directions of a call well. The number was fitted to random calls with few bright directions
-# (docs/decisions/plans_and_tolerance.md).
+# bright if its luminance is at least about 1e-3 of that of the brightest ones. Validation directions are a sample of
+# the directions of a call, on which the plan is checked. Fewer of them do not represent the bright directions of the
+# call well. The number was fitted to random calls with few bright directions (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
 # If fewer than MIN_BRIGHT validation directions are bright, a search uses only this share of its remaining error
-# budget. The same number has a second use: a predicted error is at least this share of the tolerance. The number was
-# fitted to random calls with few bright directions (docs/decisions/plans_and_tolerance.md).
+# budget. Validation directions are sampled directions that check a plan. The same number has a second use: the error
+# that a plan predicts is at least this share of the tolerance. The number was fitted to random calls with few bright
+# directions (docs/decisions/plans_and_tolerance.md).
 _SHARE_BY_FEW = 0.1
 
 
@@ -66,7 +67,8 @@ class Coordinate:
 
     Attributes:
         source: Name of the plan's field that reports the error of this coordinate.
-        budget: Largest permitted error of a plan on the training set after this coordinate is coarsened.
+        budget: Largest permitted error of a plan on the training set (sampled directions) after this coordinate is
+            coarsened.
         most: Largest number of steps by which a search coarsens this coordinate.
         coarser: Function that returns a plan coarsened by a number of steps; a negative number refines it.
     """
@@ -79,6 +81,8 @@ class Coordinate:
 
 def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     """Search for the cheapest plan that meets the tolerance on the training set and the validation set.
+
+    Both sets are samples of the directions of the call.
 
     Args:
         plan: Upper-bound plan.
@@ -102,12 +106,12 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
         # A method that expands powers |H|² of Fourier coefficients H in a series has large terms of both signs. In some
-        # directions these terms cancel, so that float32 loses most digits. If only the validation set contains such
-        # directions, this error becomes visible only at the end of a search. A method that expands the amplitudes H
-        # does not have this error.
+        # directions these terms cancel, so that float32 loses most digits. If only the validation set (sampled
+        # directions that check the plan) contains such directions, this error becomes visible only at the end of a
+        # search. A method that expands the amplitudes H does not have this error.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
-    # The predicted error is divided among its sources, such as truncation and rounding, in proportion to the errors
-    # that the search has measured for these sources of error.
+    # The predicted error of the plan (numbers of the computation) is divided among its sources, such as truncation and
+    # rounding, in proportion to the errors that the search has measured for these sources of error.
     share = predicted_error(error, plan, trial) / sum(errors.values())
     return replace(
         plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
@@ -120,8 +124,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
     """Predict the error of a call from the error of its plan on the validation set.
 
-    The prediction is this validation error times a factor. The factor is larger if the call has more directions than
-    the validation set.
+    The validation set is a sample of the directions of the call. The prediction is the error on this set times a
+    factor. The factor is larger if the call has more directions than the validation set.
     """
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else 2.0
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
@@ -129,7 +133,11 @@ def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
 
 
 def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: float) -> tuple[Plan, float]:
-    """Refine a plan until its error on the validation set is at most ``target``; return the plan and this error."""
+    """Refine a plan until its error on the validation set is at most ``target``; return the plan and this error.
+
+    The target is the largest accepted error. The validation set is a sample of the directions of a call; it checks the
+    plan that a search has found.
+    """
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for repair in range(_REPAIRS):
@@ -158,7 +166,7 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
 
 
 def _cost(plan: Plan, trial: Trial) -> float:
-    """Return the predicted cost of evaluating directions by a plan [multiply-adds per direction]."""
+    """Return the predicted cost of evaluating a direction by a plan, the numbers of a computation [multiply-adds]."""
     return cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates)
 
 
@@ -199,8 +207,8 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     ]
     if plan.coherence.kind != "replicas":
         # In a few directions, nearly all light belongs to the tail of a bright diffraction order, far from the peak of
-        # the order, and the training set may not contain such directions. The search therefore never excludes Fourier
-        # coefficients whose Gaussian weight is at least FLOOR times the tolerance.
+        # the order, and the training set, a small sample of the directions, may not contain them. The search therefore
+        # never excludes Fourier coefficients whose Gaussian weight is at least FLOOR times the tolerance.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
@@ -221,7 +229,7 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -> tuple[Plan, float]:
     """Coarsen a coordinate (parameter) of a plan by bisection, as far as its error budget permits.
 
-    Return the coarsened plan and its error on the training set.
+    Return the coarsened plan and its error on the training set, a sample of the directions of a call.
     """
     best, low, high = plan, 0, coordinate.most + 1
     middle = coordinate.most
@@ -303,11 +311,11 @@ def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
     """Refine a plan until its error on the training set is at most half of ``target``, or as small as possible.
 
-    Return the refined plan and this error. An upper-bound plan needs this in two cases. First, its method may add
-    powers of Fourier coefficients. Coefficients that vanish like a high power of κ = w/λ are then differences of large
-    terms, which cancel in float32. A method that adds amplitudes does not have this error. Second, the number of
-    wavelengths of an upper-bound plan is limited. It is too small for very tall surfaces, and for light sources near
-    the horizon.
+    The target is the largest accepted error. The training set is a sample of the directions of a call. Return the
+    refined plan and its error. An upper-bound plan needs this in two cases. First, its method may add powers of Fourier
+    coefficients. Coefficients that vanish like a high power of κ = w/λ are then differences of large terms, which
+    cancel in float32. A method that adds amplitudes does not have this error. Second, the number of wavelengths of an
+    upper-bound plan is limited. It is too small for very tall surfaces, and for light sources near the horizon.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:

@@ -37,8 +37,8 @@ SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
 # the series in which a coefficient is expanded, and the same cost is added per coefficient. Both were fitted to times.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
 # Cost of sampling the power spectrum of a surface for a colour table [multiply-adds], in addition to the products of
-# the sum over Fourier coefficients. The cost is per sample of the spectrum. For a source, whose spectrum is a sum of
-# lines, it is per spectral line. It was fitted to times.
+# the sum over Fourier coefficients. The cost is per sample of the spectrum. For a light source of finite size, whose
+# spectrum is a sum of lines, it is per spectral line. It was fitted to times.
 _COST_OF_SAMPLE = 150.0
 # Costs of computing a colour table from the power spectrum of a surface [multiply-adds]. The first cost is for
 # filtering and writing one number of the table. The second cost is for one product in the conversion (projection) of
@@ -76,8 +76,8 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # For a source, the radius within which Fourier coefficients are summed depends on the wavelength. The radius at
-        # 0.5 µm, a typical wavelength, is used.
+        # For a light source of finite size, the radius within which Fourier coefficients are summed depends on the
+        # wavelength. The radius at 0.5 µm, a typical wavelength, is used.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0

@@ -112,8 +112,8 @@ def _longest_sigma_um(coherence: Coherence) -> float:
 def check_error(request: Evaluation, plan: Plan) -> None:
     """Raise an error if a plan cannot meet its tolerance; only warn if the caller has set ``strict=False``."""
     heightfield = request.heightfield
-    # If errors were measured, ``plan.error`` is the error on the validation set times a safety factor of at least
-    # SEARCH_SAFETY. A plan is also accepted if it meets the tolerance only without this factor.
+    # If errors were measured, ``plan.error`` is the error on the validation set (sampled directions) times a safety
+    # factor of at least SEARCH_SAFETY. A plan is also accepted if it meets the tolerance only without this factor.
     if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
         return
     fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
@@ -165,7 +165,7 @@ def warn_of_theory(plan: Plan) -> None:
 
 
 def warn_of_darkness() -> None:
-    """Warn that all results of a call are 0, because the light or the viewer of each direction is below the horizon."""
+    """Warn that all results are 0, because the light or the viewer is below the horizon for each pair of directions."""
     warn(
         f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
         "directions are vectors away from the surface, in its frame with z along the normal"
@@ -199,8 +199,8 @@ def warn_outside(
     """Warn if the directions, wavelengths or heights of a call are outside of the range of the user's ``plan``.
 
     ``compares_rates`` states whether the order rate of the call is compared, too: how fast orders pass a direction as
-    1/λ changes. Spectra do not depend on it. Under a source, the rate has no limit towards the horizon, so that no plan
-    covers all directions of the hemisphere.
+    1/λ changes. Spectra do not depend on it. Under a light source of finite size, the rate has no limit towards the
+    horizon, so that no plan covers all directions of the hemisphere.
     """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [

@@ -52,12 +52,12 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Typical cost of evaluating directions by an upper-bound plan, divided by the cost by the cheaper plan that a search
-# finds, for each kind of coherence. The numbers were fitted: they are medians of 32 random calls
-# (docs/decisions/plans_and_tolerance.md).
+# Typical cost of evaluating directions by an upper-bound plan (numbers that suffice for any surface), divided by the
+# cost by the cheaper plan that a search finds, for each kind of coherence. The numbers were fitted: they are medians of
+# 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search for a cheap plan, expressed as a number of directions. In the time of a search, the plan that it
-# finds could evaluate this number of directions. The number was fitted to 32 random calls.
+# Cost of a search for a cheap plan (numbers of a computation), expressed as a number of directions. In the time of a
+# search, the plan that it finds could evaluate this number of directions. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
 # If the caller selects a method that adds powers, a trial (an evaluation of sampled directions) measures the rounding
 # error of this method in float32. The trial is made only for calls with at least this number of directions. The number
@@ -145,7 +145,7 @@ def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
 def _any_direction(
     heightfield: HeightField, coherence: Coherence, direction_range: DirectionRange, known: NDArray[np.float64] | None
 ) -> DirectionRange:
-    """Return the range of all pairs that combine a known direction with any direction of the hemisphere.
+    """Return the range of all pairs of a light and a view direction of which only one direction is known.
 
     If ``known`` is None, both directions of a pair may be anywhere in the hemisphere.
     """
@@ -156,9 +156,9 @@ def _any_direction(
         z = known[above, 2]
         max_uv = 1.0 + float(np.max(np.hypot(known[above, 0], known[above, 1])))
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
-    # The order rate of a source (how fast diffraction orders pass a direction as 1/λ changes) has no upper limit near
-    # the horizon. The range therefore ends at the largest rate of the sampled directions. Directions with a larger rate
-    # are evaluated with the largest number of wavelengths of the plan.
+    # The order rate of a light source of finite size (how fast diffraction orders pass a direction as 1/λ changes) has
+    # no upper limit near the horizon. The range therefore ends at the largest rate of the sampled directions.
+    # Directions with a larger rate are evaluated with the largest number of wavelengths of the plan.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
@@ -236,12 +236,12 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
     """Whether a search for a plan saves more time than it requires, or is necessary as the upper-bound plan fails."""
-    # For a source near the horizon, the number of wavelengths of the upper-bound plan is limited. With too few
-    # wavelengths, the plan misses orders, and a search must find another plan.
+    # For a light source of finite size near the horizon, the number of wavelengths of the upper-bound plan is limited.
+    # With too few wavelengths, the plan misses orders, and a search must find another plan.
     if upper.max_order_rate < direction_range.max_order_rate:
         return True
     # In a method that adds powers, Fourier coefficients that vanish towards κ = w/λ = 0 may lose all digits in float32,
-    # because large terms of the series cancel. Only a trial measures this error.
+    # because large terms of the series cancel. Only a trial (a test on sampled directions) measures this error.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
         return count >= _FEWEST_TRIED
     return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
@@ -250,9 +250,9 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
     """Return the upper-bound plan with its number of terms, aliased power and mean cost, without measured errors."""
     if _method(request) == "auto":
-        # Without a trial, a method that adds amplitudes is selected, because series of powers may lose their digits in
-        # float32. Trials are omitted only if a call has few directions. For few directions, methods that add amplitudes
-        # do not cost more than methods that add powers.
+        # Without a trial (a test on sampled directions), a method that adds amplitudes is selected, because series of
+        # powers may lose their digits in float32. Trials are omitted only if a call has few directions. For few
+        # directions, methods that add amplitudes do not cost more than methods that add powers.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )
@@ -308,7 +308,7 @@ def _measured(
 
 
 def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return a cheap, inaccurate plan, which only serves to find the bright directions of a call."""
+    """Return a cheap, inaccurate plan (numbers of a computation), which only finds the bright directions of a call."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
     # The numbers of an upper-bound plan suffice for any surface. To find bright directions, half of the wavelengths of

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 
 # A search for the smallest sufficient colour table first tries the smallest one whose expected error is at most this
-# share of the tolerance. The share was fitted to the planning times of 32 calls
-# (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first table would miss the tolerance in half of
-# the calls, and another table would have to be computed.
+# share of the tolerance. The share was fitted to the planning times of 32 calls of ``wd.reflectance`` and similar
+# functions (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first table would miss the tolerance
+# in half of the calls, and another table would have to be computed.
 _FIRST_SHARE = 0.35
 # A search for a colour table tries a larger one only if the present table has reduced the error enough: to at most this
 # number times the least error of the tables before. In addition, the present error must be at most twice the error that
@@ -76,8 +76,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # If the caller requests a colour table and the first size is too large or too costly, the search tries the
-            # next smaller size.
+            # If the caller requests a colour table and the first size of the table is too large or too costly, the
+            # search tries the next smaller size.
             size -= 1
             continue
         if best is None:
@@ -102,8 +102,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
-            # If more rings do not reduce the error, or if no larger size exists, the search increases the number of
-            # functions of w in the table. w is the normal component of the scattering vector.
+            # If more rings (circles of samples in the table) do not reduce the error, or if no larger size exists, the
+            # search increases the number of functions of w in the table. w is the normal component of the scattering
+            # vector.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -116,7 +117,8 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
     If a table is ``needed``, the result is a middle size instead of None.
     """
     # The expected errors are larger in two cases: if diffraction orders are far apart, and if few validation directions
-    # are bright. In the second case, the validation set misses bright directions of the call.
+    # (sampled directions of the call) are bright. In the second case, the validation set misses bright directions of
+    # the call.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -129,8 +131,8 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
     """Return the plan of a colour table with the errors and costs that are predicted for this table.
 
-    The errors are predicted from ``error``, which a trial has measured on the validation set. ``table_cost`` is the
-    cost of computing the table [multiply-adds].
+    The errors are predicted from ``error``, which a trial has measured on the validation set, sampled directions of a
+    call. ``table_cost`` is the cost of computing the table [multiply-adds].
     """
     predicted = predicted_error(error, plan, trial)
     return replace(
@@ -144,10 +146,11 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
 def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, explicit: Plan | None) -> int | None:
     """Return the index of the next table size to try, or None if no size is expected to suffice.
 
-    The error of the present size exceeds the target by the factor ``excess``. The order of convergence predicts the
-    first size whose error is within the target. The next size has at most twice the rings of the present size, because
-    small tables converge more slowly than the order of convergence predicts. If no size suffices, a plan that requires
-    a table (``explicit``) continues with the largest size that fits into memory and has at most twice the rings.
+    The error of the present size exceeds the target (largest accepted error) by the factor ``excess``. Rings are
+    circles of samples of the table. The order of convergence predicts the first size whose error is within the target.
+    The next size has at most twice the rings of the present size, because small tables converge more slowly than the
+    order of convergence predicts. If no size suffices, a plan that requires a table (``explicit``) continues with the
+    largest size that fits into memory and has at most twice the rings.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))

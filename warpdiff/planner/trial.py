@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Safety factor. A plan (numbers of a computation) is accepted if its error on the validation set is at most the
-# tolerance divided by this factor. The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred,
-# the error over all directions exceeds the error on the validation set by more than this factor.
+# Safety factor. A plan (numbers of a computation) is accepted if its error on the validation set (sampled directions of
+# a call) is at most the tolerance divided by this factor. The factor was fitted by bench.reproduce.tolerance_sweep. In
+# one call of a hundred, the error over all directions exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
 # If a call has more directions than candidates (sampled directions of the call), this number of the brightest
 # candidates may be outliers. Relative errors have a smallest divisor, which is proportional to the luminance of bright
@@ -50,9 +50,9 @@ _LUCKY_BRIGHTEST = 4
 # Least luminance that counts as light, as a share of the luminance of a perfect mirror. Light with a smaller luminance
 # is invisible.
 DARK = 1e-10
-# An error of the reference plan, or of basis functions that are fitted to Fourier coefficients, is neglected if it is
-# below this share of the tolerance. The share was chosen so that such an error is small compared with the errors that a
-# trial measures.
+# An error of the reference plan (numbers of an accurate computation), or of basis functions that are fitted to Fourier
+# coefficients, is neglected if it is below this share of the tolerance. The share was chosen so that such an error is
+# small compared with the errors that a trial measures.
 NEGLIGIBLE_SHARE = 1e-2
 # Evaluation method of the reference plan, against which errors are measured. It expands the amplitudes of Fourier
 # coefficients in a series. In float32, amplitudes are accurate even for coefficients that vanish like a high power of κ
@@ -68,8 +68,8 @@ class Group:
 
     Attributes:
         sample: Directions of the set, and the weight of each direction in percentiles of the errors.
-        exact: Values of the directions by the reference plan, in the shape that ``Trial.run`` returns; None before
-            ``Trial.exact`` computes them.
+        exact: Values of the directions by the reference plan, whose results count as exact, in the shape that
+            ``Trial.run`` returns; None before ``Trial.exact`` computes them.
         scale: Divisor of the error of each direction, shape (rows, n): the reference value or the floor (smallest
             divisor), whichever is larger. There is one row for each pair of illuminant and floor.
         above: Whether the luminance of a direction is at least the floor, shape (rows, n).
@@ -169,7 +169,11 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether any direction has visible light: a floor of relative errors or a training value exceeds ``DARK``."""
+        """Whether any direction has visible light: a luminance above ``DARK``.
+
+        The luminances of the training directions and the floors (smallest divisors of relative errors) are compared
+        with it.
+        """
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
@@ -230,11 +234,12 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed values."""
+        """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed colours."""
         if plan.coherence.adds_powers:
             # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
-            # plan therefore includes Fourier coefficients up to a large distance from each direction. At this distance,
-            # the truncated tail of the zeroth order is negligible even compared with the dark directions.
+            # plan, whose results count as exact, therefore includes Fourier coefficients up to a large distance from
+            # each direction. At this distance, the truncated tail of the zeroth order is negligible even compared with
+            # the dark directions.
             needed = NEGLIGIBLE_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
@@ -243,23 +248,29 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Compute the floors (smallest divisors of relative errors) again, by a more accurate plan."""
+        """Compute the floors (smallest divisors of relative errors) again, by a more accurate plan.
+
+        A plan holds the numbers of a computation, such as the number of wavelengths.
+        """
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """Return the colours or spectra of a group of directions, computed by the reference plan."""
+        """Return the colours or spectra of a training or validation set, computed by the reference plan.
+
+        Both sets are samples of the directions of a call. The results of the reference plan count as exact.
+        """
         if group.exact is None:
             group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Compute the colours or spectra of a group of directions by a plan.
+        """Compute the colours or spectra of a training or validation set by a plan.
 
-        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape (1, n·m,
-        1).
+        Both sets are samples of the directions of a call. Return colours XYZ, shape (illuminants, n, 3), or for spectra
+        reflectances ρ at m wavelengths, shape (1, n·m, 1).
         """
         arrays = group.scattering_vectors, group.to_lights, group.gains
         # The directions are divided into two slices per thread, so that all threads end at about the same time.
@@ -316,7 +327,8 @@ class Trial:
     def training_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the training set.
 
-        Bright and dim directions have separate percentiles. The result is the larger one.
+        The set is a sample of the directions of a call. Bright and dim directions have separate percentiles. The result
+        is the larger one.
         """
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
@@ -324,15 +336,15 @@ class Trial:
     def validation_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the validation set.
 
-        Bright and dim directions have separate percentiles; the result is the larger percentile. A direction is
-        excluded if diffraction orders pass it faster, as 1/λ changes, than the wavelengths of the reference plan
-        resolve. If this is true of all directions, all are included.
+        The set is a sample of the directions of a call. Bright and dim directions have separate percentiles; the result
+        is the larger percentile. A direction is excluded if diffraction orders pass it faster, as 1/λ changes, than the
+        wavelengths of the reference plan resolve. If this is true of all directions, all are included.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # The reference plan has a limited number of wavelengths, which may be too few if the light of a source arrives
-        # near the horizon. The reference values are then wrong for directions which orders pass faster, as 1/λ changes,
-        # than these wavelengths resolve.
+        # The reference plan has a limited number of wavelengths, which may be too few if a light source of finite size
+        # is near the horizon. The reference values are then wrong for directions which orders pass faster, as 1/λ
+        # changes, than these wavelengths resolve.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
@@ -344,7 +356,8 @@ def reference_luminance(
 ) -> float:
     """Return the reference luminance Y*: the 99th percentile of the luminance Y, or a median of Y if that is larger.
 
-    The median is weighted by Y. It counts only if ``with_median`` is True.
+    ``Y`` has one value for each direction of a call. The median is weighted by Y. It counts only if ``with_median`` is
+    True.
     """
     bright = _percentile(luminance, weights, PERCENTILE)
     return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 # numbers were fitted. If both were halved, more than 1 % of the calls would exceed the tolerance. If both were doubled,
 # planning would require twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
-# Number of directions in the validation set, which judges the plan that a search finds. It is larger than the training
-# set, because it decides whether the plan is accepted.
+# Number of directions in the validation set, a sample of the directions of a call that judges the plan that a search
+# finds. It is larger than the training set, because it decides whether the plan is accepted.
 _VALIDATION = 2 * _TRAINING
 # Number of edge cases (extreme directions) of each kind, such as the most grazing directions. The directions near one
 # strong diffraction order are a kind of edge cases. The same number, 16, is also the number of strong orders that are
@@ -53,6 +53,8 @@ def candidates(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> tuple[DirectionSample, NDArray[np.bool_]]:
     """Return the candidates for the training and validation sets, and a mask of the edge cases among them.
+
+    Candidates are sampled directions of a call, from which both sets are drawn.
 
     Args:
         heightfield: Height field of the call.

@@ -22,7 +22,7 @@ FAINT, MISSING = "0.85", "white"
 # Maximum length of a scale bar, relative to the width of its map. The value was chosen because a longer bar hides more
 # of the map.
 _LONGEST_BAR = 0.25
-# Length of the longer side of a map in a new figure [inches].
+# Length of the longer side of a map (of heights, for example) in a new figure [inches].
 _MAP_INCHES = 4.3
 # The length of a scale bar [µm] is one of these numbers times a power of ten.
 _ROUND_LENGTHS = (1.0, 2.0, 5.0)

@@ -92,7 +92,7 @@ def reflectance_map(
 
 
 def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
-    """Draw axis labels, circles of equal angle from the normal, the light and its mirror direction into a map."""
+    """Draw axis labels, circles of equal angle from the normal, light and mirror direction into a reflectance map."""
     from matplotlib.patches import Circle
 
     for angle in _CIRCLES_DEG:

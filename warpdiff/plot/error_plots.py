@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 # value was chosen. If doubled, more errors have different colours, but errors near the tolerance are harder to
 # distinguish.
 _ERROR_RANGE = 30.0
-# Start of the logarithmic error axis in the plot of a plan's predicted errors, relative to the tolerance. Smaller
-# errors have bars of length 0.
+# Start of the logarithmic error axis in the plot of the errors that a plan (numbers of a computation) predicts,
+# relative to the tolerance. Smaller errors have bars of length 0.
 _LEAST_BAR = 1e-4
 
 

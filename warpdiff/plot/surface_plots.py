@@ -91,7 +91,8 @@ def height_map(
     unit, factor = length_unit(heightfield.height_range_um)
     line = None if profile_along is None else _Line.of(heightfield, profile_along, at_um)
     (ly, lx), (ny, nx) = heightfield.size_um, heightfield.shape
-    # A field that is constant along an axis has only one sample along this axis. The map shows such a field as a band.
+    # A field that is constant along an axis has only one sample along this axis. The map of heights shows such a field
+    # as a band.
     is_band = min(ny, nx) == 1 < max(ny, nx)
     extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
     width, height = map_size(extent_y, extent_x)
@@ -273,8 +274,8 @@ def _draw_plane(
         np.maximum(density, least), origin="lower", cmap=cmap, norm=LogNorm(least, most), interpolation="nearest",
         extent=(fx[0] - half[1], fx[-1] + half[1], fy[0] - half[0], fy[-1] + half[0]),
     )  # fmt: skip
-    # Both axes of the map show the same range of frequencies. If the highest frequency of the samples along an axis is
-    # within this range, the axis ends at this frequency.
+    # Both axes of the map of the power spectrum show the same range of frequencies. If the highest frequency of the
+    # samples along an axis is within this range, the axis ends at this frequency.
     for set_limits, f, step in ((ax.set_xlim, fx, half[1]), (ax.set_ylim, fy, half[0])):
         edge = min(limit, float(step - f[0]))
         set_limits(-edge, edge)

@@ -15,8 +15,8 @@ _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 class Accumulators:
     """Sums of colours, coverage and errors of a picture, or of one of its lights.
 
-    The passes of the lights and the refinement of pixels fill these arrays. Pixels show either means over the pixel
-    filter or points (single directions).
+    The computation of each light and the refinement of pixels (division into cells) fill these arrays. Pixels show
+    either means over the pixel filter or points (single directions).
 
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
@@ -39,9 +39,10 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return sums of zero for a number of pixels.
+        """Return arrays of sums for a number of pixels, all of them 0.
 
-        If ``means`` is False, pixels show points instead of means, and the arrays of errors and edges are empty.
+        If ``means`` is False, pixels show points (single directions) instead of means over filters, and the arrays of
+        errors and edges are empty.
         """
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
@@ -65,6 +66,6 @@ class Accumulators:
         return replace(self, **own)
 
     def clear_errors(self) -> None:
-        """Set all errors, edges and coverage levels to zero."""
+        """Set all errors and edges, and the subdivision levels of the coverage, to zero."""
         for array in (self.errors, self.coverage_levels, self.edges):
             array.zero_()

@@ -57,8 +57,8 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # All lights of the picture use these buffers. Arrays for the directions to a light are allocated even if this
-        # light does not require them, because a later light may.
+        # All lights of the picture use these buffers (arrays with one entry per subpixel cell). Arrays for the
+        # directions to a light are allocated even if this light does not require them, because a later light may.
         kind = light.buffer_kind._replace(has_directions=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
@@ -77,7 +77,7 @@ class DeviceTiles:
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing: tiles are stored only for previews (at larger tolerances), which are not rendered on a GPU."""
+        """Do nothing: tile results are stored only for previews (larger tolerances), which a GPU does not render."""
 
     def begin(self, light: LightRefinement) -> None:
         """Begin the refinement under a light: compute the smallest divisor of relative errors by a histogram."""
@@ -93,7 +93,7 @@ class DeviceTiles:
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the whole picture as one group. Its subdivided tiles are the marked pixels and their neighbours."""
+        """Yield the whole picture as one group. Pixels marked for subdivision and their neighbours are tiles."""
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         level = light.policy.base_level
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
@@ -104,7 +104,7 @@ class DeviceTiles:
         self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
-        """Shade the subpixel cells of all tiles of a level, in batches of tiles that fit the buffers.
+        """Shade the subpixel cells of all tiles (subdivided pixels) of a level, in batches that fit the buffers.
 
         The last batch is filled up with the tile index −1, for which kernels do nothing.
         """

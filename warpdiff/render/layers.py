@@ -21,13 +21,15 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.mesh_import import Surface
 
-# Name of the layer with the colours under each single light. These colours are computed like the picture itself. All
-# other layers have values of the rays through pixel centres.
+# Name of the layer (additional array of a picture) with the colours under each single light. These colours are computed
+# like the picture itself. All other layers have values of the rays through pixel centres.
 LIGHT = "light"
 
 
 def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[LightPart]) -> tuple[str, ...]:
     """Return the names of a picture's layers. A name such as ``"light"`` is replaced by one name for each light.
+
+    A layer is an additional array of a picture, such as the depths of its pixels.
 
     Args:
         names: Names that the caller gave; each name has been checked.
@@ -58,7 +60,7 @@ def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[Ligh
 
 
 def directed(parts: Sequence[LightPart], name: str) -> LobeSet:
-    """Return a set of one lobe, with the single or mean direction of a light.
+    """Return a set of one lobe, which is the single or mean direction of a light.
 
     Args:
         parts: Parts of the light.
@@ -136,8 +138,8 @@ class CentralHits:
         return self.local(self.vectors("to_view"))
 
 
-# Functions that return the values of layers, by the layer's name. Layers that depend on lights, or that show numbers of
-# geometries or materials, have no entry.
+# Functions that return the values of layers (additional arrays of a picture, such as depths), by the layer's name.
+# Layers that depend on lights, or that show numbers of geometries or materials, have no entry.
 VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
     "normal": lambda hits: hits.vectors("normal"), "tangent": lambda hits: hits.vectors("tangent"),
     "bitangent": lambda hits: hits.vectors("bitangent"), "depth": CentralHits.depths,
@@ -147,7 +149,10 @@ VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
 
 
 def lights_of(names: Sequence[str]) -> dict[int, str]:
-    """Return the indices of the lights whose directions layers show, each with the name of such a layer."""
+    """Return the indices of the lights whose directions layers show, each with the name of such a layer.
+
+    A layer is an additional array of a picture, such as the directions to one light at its pixels.
+    """
     directions = {
         int(index): name for name in names for base, _, index in [name.partition(".")] if index and base != LIGHT
     }
@@ -182,5 +187,8 @@ def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]
 
 
 def names_of(surface: Surface, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the names (of geometries or materials) for which the numbers in layers stand, by the layer's name."""
+    """Return the names (of geometries or materials) for which the numbers in layers stand, by the layer's name.
+
+    A layer is an additional array of a picture, such as the number of the visible geometry.
+    """
     return {name: getattr(surface, attribute) for name in names if (attribute := layer_format(name).names)}

@@ -58,8 +58,8 @@ def parts_of(
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:
                 check_extent(light, name, evaluation.coherence, means=means)
-            # Lobes of a plain ``LobeSet`` are joined. A subclass that overrides ``make_pass``, such as a wide disc,
-            # stays a separate part.
+            # Lobes (single directions or Gaussians of directions) of a plain ``LobeSet`` are joined. A subclass that
+            # overrides ``make_pass``, such as a wide disc, stays a separate part.
             if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:

@@ -1,6 +1,7 @@
 """Checks of grating maps before a picture is computed, and the coherence (limit of interference) of their surfaces.
 
-A grating map divides a surface into dots. Each dot has its own rotation, depth and pitch of one grating.
+A grating map divides a surface into small rectangles (dots). Each dot has its own rotation, depth and pitch of one
+grating.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> Pictu
     If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
 
     Raises:
-        ValueError: An option is not supported for maps.
+        ValueError: An option is not supported for grating maps.
     """
     method = settings.plan.method if isinstance(settings.plan, Plan) else settings.method
     refused = {
@@ -71,7 +72,11 @@ def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> Pictu
 
 
 def ladder_of(grating_map: GratingMap | None, evaluation: Evaluation) -> PitchLadder | None:
-    """Return the ladder of tables for dots with different pitch scales; None if one table serves all dots."""
+    """Return the ladder of tables for dots with different pitch scales; None if one table serves all dots.
+
+    A grating map divides a surface into small rectangles (dots). Colours of a dot are interpolated between the tables
+    of a ladder, which are made for several lengths of the coherence window.
+    """
     if grating_map is None or grating_map.has_one_pitch or evaluation.coherence.kind != "averaged":
         return None
     tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
@@ -79,7 +84,11 @@ def ladder_of(grating_map: GratingMap | None, evaluation: Evaluation) -> PitchLa
 
 
 def coherence_of_table(grating_map: GratingMap, evaluation: Evaluation) -> Coherence:
-    """Return the coherence of the table of a map. With a ladder of tables, it is that of the longest window."""
+    """Return the coherence of the table of a map. With a ladder of tables, it is that of the longest window.
+
+    A grating map divides a surface into small rectangles (dots). A ladder is a set of tables for several lengths of the
+    coherence window.
+    """
     ladder = ladder_of(grating_map, evaluation)
     if ladder is None:
         return grating_map.table_coherence(evaluation.coherence)
@@ -107,7 +116,7 @@ def _text(value: object) -> str:
 def check_texture_coordinates(
     mesh: Mesh, optics: Iterable[SurfaceOptics], surface_of_faces: NDArray[np.int32] | None
 ) -> None:
-    """Raise an error if a face of a surface with a map has no texture coordinates.
+    """Raise an error if a face of a surface with a grating map has no texture coordinates.
 
     Args:
         mesh: The prepared mesh.
@@ -128,7 +137,10 @@ def check_texture_coordinates(
 
 @contextlib.contextmanager
 def naming_depth_scale(grating_map: GratingMap | None) -> Iterator[None]:
-    """Context in which errors about the height range of a map's deepest dot name the argument ``depth_scale``."""
+    """Context in which errors about the height range of a map's deepest dot name the argument ``depth_scale``.
+
+    A grating map divides a surface into small rectangles (dots), each with a depth of its own.
+    """
     try:
         yield
     except ArgumentValueError as error:
@@ -146,9 +158,9 @@ def naming_depth_scale(grating_map: GratingMap | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def naming_texture_coordinates(has_map: Collection[bool]) -> Iterator[None]:
-    """Context in which errors about a mesh without tangents state that maps require texture coordinates.
+    """Context in which errors about a mesh without tangents state that grating maps require texture coordinates.
 
-    ``has_map`` states for each surface of the mesh whether it has a map.
+    ``has_map`` states for each surface of the mesh whether it has a grating map.
     """
     try:
         yield

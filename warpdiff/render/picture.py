@@ -1,7 +1,8 @@
 """Pictures: the rays, the passes of lights and the sums of a picture on a device.
 
-A pixel begins as one ray. Refinement divides a pixel into subpixel cells, with one ray per cell; level n has 2ⁿ × 2ⁿ
-cells. A pixel shows either the mean of the colours over its footprint (the area of its filter) or the colour of points.
+A pass computes the colours under one part of a light. A pixel begins as one ray. Refinement divides a pixel into
+subpixel cells, with one ray per cell; level n has 2ⁿ × 2ⁿ cells. A pixel shows either the mean of the colours over its
+footprint (the area of its filter) or the colour of points.
 """
 
 from __future__ import annotations
@@ -58,8 +59,9 @@ _PROGRESS_OF_FIRST_RAYS = 0.3
 # may block a light) are made, which save time for many shadow rays. The value was fitted to pictures of a snake mesh,
 # which have 20 shadow rays per hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Level of the first subdivision of pixels if a surface has a grating map, whose dots change colours abruptly. Level 2
-# has 16 cells per pixel. The value was chosen because 4 cells often miss the differences of colour within a pixel.
+# Level of the first subdivision of pixels if a surface has a grating map: its dots (small rectangles) change colours
+# abruptly. Level 2 has 16 cells per pixel. The value was chosen because 4 cells often miss the differences of colour
+# within a pixel.
 _FIRST_LEVEL_OF_DOTS = 2
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. The value was chosen because
 # larger slices distribute work less evenly over threads, and smaller slices require more launches.
@@ -74,8 +76,8 @@ def load_kernels(device: wp.Device) -> None:
 class Picture:
     """Picture of a mesh with one or several surfaces, whose view and lights may change between renderings.
 
-    :meth:`set_lights` makes the passes of the lights. :meth:`render` or :meth:`render_directly` then computes the
-    colours.
+    :meth:`set_lights` makes the passes, which compute the colours under each light. :meth:`render` or
+    :meth:`render_directly` then computes the colours.
     """
 
     def __init__(
@@ -115,8 +117,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # If pixels show means and there are several lights, the light that is rendered at the moment has separate sums.
-        # Other pictures add colours directly to the sums over all lights.
+        # If pixels show means and there are several lights, the light that is rendered at the moment has separate sums
+        # of colours. Other pictures add colours directly to the sums over all lights.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -147,7 +149,8 @@ class Picture:
         previous passes, because a recorded CUDA graph reads these arrays.
         """
         before: list[LightPass | None] = [*self._passes, *[None] * (len(parts) + 1)]
-        # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
+        # If a light is not accepted, making its pass (computation of its colours) raises an error here, and the passes
+        # of the previous lights stay in use.
         passes = [part.make_pass(self.context) for part in parts]
         plain = self.context.plain
         if plain is not None and plain.emits and passes:
@@ -212,13 +215,14 @@ class Picture:
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
         """Return the illuminants of a lobe with the materials that they illuminate, by finish and spectrum.
 
-        A finish is a surface with one of its materials.
+        A lobe is a direction to a light, or a Gaussian of such directions. A finish is a surface with one of its
+        materials.
         """
         return self._passes[index.light].illuminated[index.lobe]
 
     @property
     def sums(self) -> Accumulators:
-        """Sums of the pixels under the light that is rendered at the moment; :attr:`sampler` fills them."""
+        """Sums of the colours of pixels under the light that is rendered at the moment; :attr:`sampler` fills them."""
         return self._light_sums
 
     def footprint_calls(self, index: LobeIndex, batch: RayBatch) -> list[KernelCall]:
@@ -269,13 +273,14 @@ class Picture:
                     calls, self.rays.size, slice_size=lookups.slice_size, progress=share, **self.rays.options
                 )
             return
-        # The callables of previews are called by the host between launches. A recorded graph is launched without the
-        # host, so it has no previews.
+        # The callables of previews (pictures at larger tolerances) are called by the host between launches. A recorded
+        # graph is launched without the host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookups.uses_footprints)
         if len(self._passes) > 1:
-            # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
-            # so that they are all rendered at the tolerance of the preview first.
+            # Each light is refined to its final tolerance before the next light begins. A preview, a picture at a
+            # larger tolerance, requires all lights, so that they are all rendered at the tolerance of the preview
+            # first.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
                 policy = RefinementPolicy(preview, least_level, self._refine)

@@ -72,7 +72,7 @@ class SurfaceInputs:
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and reflects light by its base colour and material.
         unit: Factor that makes the colours of the surface relative to the picture's mirror; None if they are already.
-        grating_map: Map of the surface's dots, whose ``reference`` is the height field of ``evaluation``; or None.
+        grating_map: Map of one grating per small rectangle; its ``reference`` is ``evaluation.heightfield``; or None.
     """
 
     evaluation: Evaluation
@@ -132,9 +132,9 @@ class SurfaceInputs:
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
         """Return the user's plan (numbers of the computation), or choose a plan for the measured directions.
 
-        Lights with an extent require a plan with a table of colours. If no table meets the tolerance for lobes with an
-        extent, the plan has the best table. For skies, and for lights under which all measured directions are dark, the
-        plan has the smallest table that is expected to suffice.
+        Lights with an extent require a plan with a table of colours. If no table meets the tolerance for lobes (parts
+        of lights) with an extent, the plan has the best table. For skies, and for lights under which all measured
+        directions are dark, the plan has the smallest table that is expected to suffice.
         """
         request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
@@ -188,7 +188,7 @@ class PictureInputs:
         lights: Lights as the user gave them.
         surfaces: Inputs of each surface by the key of its part (such as the name of a geometry); the key is ``""`` if
             the mesh has one height field.
-        parts: Parts that the lights consist of (lobes, discs and skies), in the unit of the picture.
+        parts: Parts that the lights consist of (lobes, discs and skies), with powers relative to the picture's mirror.
     """
 
     heightfield: SurfacesOfMesh
@@ -249,7 +249,7 @@ class PictureInputs:
 
     @property
     def plain(self) -> dict[str, bool] | None:
-        """Whether each surface is plain, by the key of its part; None if the mesh has one height field."""
+        """Whether each surface is plain, by the name of its mesh part; None if the mesh has one height field."""
         if not isinstance(self.heightfield, Mapping):
             return None
         return {key: own.is_plain for key, own in self.surfaces.items()}
@@ -290,7 +290,7 @@ class PictureInputs:
         return plans, Lookups(lookups)
 
     def parts_of_light(self, index: int) -> list[LightPart]:
-        """Return the parts of one light; they are not combined with the parts of other lights."""
+        """Return the lobes, discs and skies (parts) of one light; they are not combined with those of other lights."""
         evaluation = _in_unit(self)
         light = self.lights[index]
         return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
@@ -461,7 +461,7 @@ def _checked_surface(key: object, value: object) -> Surface | None:
 
 
 def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> PictureSettings:
-    """Return the options of the call, in which the options of a surface replace those of the same name."""
+    """Return the options of the picture, in which the options of a surface replace those of the same name."""
     material = settings.material.get(key) if isinstance(settings.material, Mapping) else settings.material
     plan = settings.plan.get(key) if isinstance(settings.plan, Mapping) else settings.plan
     ior = settings.ior

@@ -60,7 +60,7 @@ class LitPixels:
     illuminated: IlluminatedMaterial
 
     def among(self, chosen: NDArray[np.int64]) -> LitPixels:
-        """Return the samples with the indices ``chosen``."""
+        """Return the samples (illuminated pixels with their directions) that have the indices ``chosen``."""
         footprints = None if self.footprints is None else self.footprints[chosen]
         return replace(
             self, pixels=self.pixels[chosen], scattering_vectors=self.scattering_vectors[chosen],
@@ -69,7 +69,7 @@ class LitPixels:
 
     @staticmethod
     def joined(others: Sequence[LitPixels]) -> LitPixels:
-        """Join several sets of samples that have the same illuminant and material."""
+        """Join several sets of samples (pixels with their directions) that have the same illuminant and material."""
         footprints = [other.footprints for other in others if other.footprints is not None]
         pixels, vectors, lights, gains = (
             np.concatenate([getattr(other, name) for other in others]) for name in _ARRAYS
@@ -84,7 +84,7 @@ class PictureSamples:
 
     Attributes:
         inputs: Checked inputs of the picture.
-        lobes: Samples by lobe and material.
+        lobes: Samples by lobe (direction to a light, or Gaussian of directions) and material.
         illuminated: Whether light reaches each pixel, shape (height, width).
         pigment: XYZ of the light that the pigment reflects at the illuminated pixels, shape (n, 3).
         has_pigment: Whether the base colour of the mesh is visible.
@@ -100,7 +100,8 @@ class PictureSamples:
 def samples_of(renderer: Renderer, lights: Light | Sequence[Light]) -> PictureSamples:
     """Return the samples of the picture that a renderer draws under some lights, one sample per pixel and lobe.
 
-    The renderer itself, and its last picture, do not change.
+    A lobe is a direction to a light, or a Gaussian of such directions. The renderer itself, and its last picture, do
+    not change.
 
     Raises:
         ValueError: The picture has refined pixels, several samples per pixel, several surfaces, normalised energy, or

@@ -59,7 +59,7 @@ def deviation_at(level: int, *, means: bool) -> float:
     """Return the standard deviation of the filter of a ray at a level [pixels].
 
     Level 0 is one ray per pixel with the pixel filter. Higher levels are subpixel cells with narrower filters. Rays
-    have no filter if pixels show points, and the result is then 0.
+    have no filter if pixels show points (single directions), and the result is then 0.
     """
     if not means:
         return 0.0
@@ -112,8 +112,8 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # The first row of the result is for level 0, where pixels are not divided into cells. It is never read, and makes
-    # the index of each row of the result equal to its level.
+    # Each row of the result has the factors of one level of subdivision. The first row is for level 0, where pixels are
+    # not divided into cells. It is never read, and makes the index of each row equal to its level.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 
@@ -148,7 +148,8 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
     Level n divides a pixel into 2ⁿ × 2ⁿ cells.
     """
-    # The mask has one bit per pixel. Each row of the picture begins with a new word of 64 bits.
+    # The mask of the subdivided pixels has one bit per pixel. Each row of the picture begins with a new word of 64
+    # bits.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True
     ranks = np.empty(width * height, dtype=np.int32)

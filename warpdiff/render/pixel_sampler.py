@@ -36,14 +36,14 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """Index of a light in the list of passes, and index of one of its lobes (directions or Gaussians of directions)."""
+    """Index of a light in the list of lights, and index of one of its lobes (directions or Gaussians of directions)."""
 
     light: int
     lobe: int
 
 
 class PixelSampler:
-    """Sampler that traces one ray for each pixel, and samples one lobe of a light at the hits.
+    """Sampler that traces one ray for each pixel, and samples one lobe of a light (a direction) at the hits.
 
     Attributes:
         samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
@@ -69,7 +69,8 @@ class PixelSampler:
     def set_lights(self, passes: Sequence[LightPass]) -> None:
         """Set the passes of the lights.
 
-        Hits of rays remain valid. Light samples at the hits are discarded, because they belong to the previous lights.
+        A pass computes the colours under one part of a light. Hits of rays remain valid. Light samples at the hits are
+        discarded, because they belong to the previous lights.
         """
         self._passes, self._lobe = passes, None
         if any(light_pass.has_directions for light_pass in passes) and not self.samples.spectral_gains.size:
@@ -80,7 +81,10 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield all lobes whose directions are measured before a plan (numbers of the computation) is chosen."""
+        """Yield all lobes whose directions are measured before a plan (numbers of the computation) is chosen.
+
+        A lobe is a direction to a light, or a Gaussian of such directions.
+        """
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
@@ -141,14 +145,18 @@ class PixelSampler:
         self._sample, self._lobe = sample, index
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Return scattering vectors, directions to the light and geometry factors of the last lobe, one per pixel."""
+        """Return scattering vectors, directions to the light and geometry factors of the last lobe, one per pixel.
+
+        A lobe is a direction to a light, or a Gaussian of such directions.
+        """
         scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
         return scattering_vectors, to_lights, gains
 
     def _of_dots(self, surface: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]] | None:
         """Return the directions of the last lobe in the frames of a surface's dots; None without a grating map.
 
-        A dot of a grating map rotates a height field and scales its lengths by the pitch scale.
+        A grating map divides a surface into small rectangles (dots). A dot rotates a height field and scales its
+        lengths by the pitch scale.
 
         Directions to the light are scaled to unit length. A plan that is chosen for them therefore meets its tolerance
         for the dots with the smallest pitch scale, whose diffraction orders are the narrowest.
@@ -184,8 +192,8 @@ class PixelSampler:
             if heightfield is not None
         ]
         lobes = list(self.lobes())
-        # If pixels show points, only the first rays of each pixel are used. If pixels show means over their filter,
-        # several rays per pixel represent the directions of the later subpixel cells.
+        # If pixels show points (single directions), only the first rays of each pixel are used. If pixels show means
+        # over their filter, several rays per pixel represent the directions of the later subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -194,8 +202,8 @@ class PixelSampler:
         parts = len(lobes) * (measured if self._means else 1)
         for sample in range(measured):
             for index in lobes:
-                # If pixels show means, the first measured ray passes through the pixel centre, like the ray of level 0
-                # in the picture.
+                # If pixels show means, the first measured ray passes through the pixel centre, like the single ray of
+                # an undivided pixel in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 directions = self.directions()
                 for of_surface in surfaces:
@@ -215,7 +223,7 @@ class PixelSampler:
 
 @dataclass
 class _Measured:
-    """Directions to the light and to the viewer on one surface, collected ray by ray and lobe by lobe.
+    """Directions to the light and to the viewer on one surface, collected for each ray and each lobe of a light.
 
     Attributes:
         heightfield: Height field of the surface.
@@ -237,7 +245,7 @@ class _Measured:
         directions: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]],
         parts: int,
     ) -> None:
-        """Add the directions of one lobe.
+        """Add the directions of one lobe: a direction to a light, or a Gaussian of such directions.
 
         A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of such samples
         that will be joined to one: the more there are, the fewer directions each sample has.

@@ -143,8 +143,9 @@ class LightRefinement:
     def mark_edges_of_dots(self, floor: wp.array, marks: wp.array) -> KernelCall | None:
         """Return the kernel call that marks pixels near edges of a grating map's dots for subdivision.
 
-        :meth:`estimate_errors` does not find these edges. The result is None without a grating map, without refinement,
-        or if directions to the light are drawn at random.
+        Dots are small rectangles of a surface, each with a grating of its own. :meth:`estimate_errors` does not find
+        their edges. The result is None without a grating map, without refinement, or if directions to the light are
+        drawn at random.
         """
         policy, samples = self.policy, self.batch.samples
         if samples.of_dots is None or policy.is_sampled or not policy.refine:
@@ -190,7 +191,10 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that selects the tiles at ``level`` that are divided further, and their next level."""
+        """Return the kernel call that selects the tiles at ``level`` that are divided further, and their next level.
+
+        A tile is a pixel that is divided into subpixel cells. At level n, it has 2ⁿ × 2ⁿ cells.
+        """
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -262,13 +266,16 @@ class TileExecutor(Protocol):
         """Begin to refine a light at a tolerance: compute ``floor``, the smallest divisor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield groups of marked pixels. Each group subdivides its pixels and the eight pixels around each of them."""
+        """Yield groups of marked pixels. Each group subdivides its pixels and the eight pixels around each of them.
+
+        A mark states that the error of a pixel requires subdivision into cells.
+        """
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
-        """Shade the cells of the tiles of a group whose level is ``level``, and add them to the sums of the group."""
+        """Shade the cells of a group's tiles (subdivided pixels) at ``level``, and add them to the group's sums."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a kernel call over ``elements``: pixels or tiles of a group.
+        """Launch a kernel call over ``elements``: pixels or tiles (subdivided pixels) of a group.
 
         A GPU launches it over all pixels of the picture instead.
         """
@@ -293,9 +300,10 @@ class RefinementLoop:
     ) -> None:  # fmt: skip
         """Refine a light: shade all tiles at the base level, select levels by errors, and shade tiles there.
 
-        With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
-        called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.
-        Cells that were shaded for an earlier tolerance are reused.
+        A tile is a pixel that is divided into cells. The base level is the level of its first cells. With previews, the
+        light is first refined to the larger tolerance of each preview, and the preview's callable is called. Previews
+        do not change the final picture, because each refinement begins again from one ray per pixel. Cells that were
+        shaded for an earlier tolerance are reused.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]

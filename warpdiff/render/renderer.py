@@ -146,7 +146,7 @@ class Renderer:
         return self._mine.view.width, self._mine.view.height
 
     def resized(self, view: View, *, refine: bool | None = None) -> Renderer:
-        """Return another renderer of this surface, with the same plan and tables, for pictures of another size.
+        """Return another renderer of this surface, with the same plan and colour tables, for pictures of another size.
 
         Args:
             view: Camera of the new renderer's first picture.
@@ -275,14 +275,15 @@ class Renderer:
     def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
         """Check the previews, and return their tolerances in descending order, each with a function to call.
 
-        The function calls the callable of the preview. During this call, the picture counts as complete at its
-        tolerance.
+        A preview is a picture at a larger tolerance. The function calls the callable of the preview. During this call,
+        the picture counts as complete at its tolerance.
         """
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
                 f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
             )
-        # The mapping of previews is copied, because its callables may change it while the picture is drawn.
+        # The mapping of previews (tolerances with callables) is copied, because its callables may change it while the
+        # picture is drawn.
         callables = dict(previews or {})
 
         def show(tolerance: float) -> None:
@@ -343,7 +344,7 @@ class _ThreadPicture(threading.local):
     """Picture of one thread, which is made when the thread first draws.
 
     Attributes:
-        picture: Camera rays, passes of lights, and sums of colours of this thread's pictures.
+        picture: Camera rays, passes (computations of single lights), and sums of colours of this thread's pictures.
         parts: Parts of the lights with which this thread drew last.
         view: View with which this thread drew last.
         is_drawn: Whether the picture is complete.

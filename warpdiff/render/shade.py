@@ -129,7 +129,10 @@ class LayerRequest:
 
     @classmethod
     def of(cls, names: Collection[str], inputs: PictureInputs) -> LayerRequest:
-        """Check the names of layers against the inputs of the picture, before any kernel runs."""
+        """Check the names of layers against the inputs of the picture, before any kernel runs.
+
+        A layer is an additional array of a picture, such as the depths of its pixels.
+        """
         every = expanded(tuple(names), inputs.lights, inputs.parts)
         apart = any(name.partition(".")[0] == LIGHT for name in every)
         of_light = [inputs.parts_of_light(index) for index in range(len(inputs.lights) * apart)]
@@ -178,7 +181,8 @@ def _render(
         inputs = replace(inputs, parts=parts)
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
-    # Light from a sky comes from the whole hemisphere. Plans must then cover all directions, and none are measured.
+    # Light from a sky comes from the whole hemisphere. Plans (numbers of computations) must then cover all directions,
+    # and none are measured.
     has_sky = not all(part.has_lobes for part in inputs.parts)
     plans, lookups = inputs.planned(None if has_sky else picture.measure_directions(inputs.heightfields))
     collected = xyz_by_part if parts else None

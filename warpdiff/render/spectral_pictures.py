@@ -56,7 +56,7 @@ def check_pigment(pigment: float, *, has_base_colour: bool) -> None:
 def spectra_of(
     picture: Picture, evaluation: Evaluation, progress: Callable[[float], None] | None
 ) -> NDArray[np.float32]:
-    """Return the spectra of a picture of points at m wavelengths, shape (height, width, m).
+    """Return the spectra of a picture of single directions at m wavelengths, shape (height, width, m).
 
     The radiance at a wavelength λ is the sum over the lights of power · ρ(λ) S(λ) / S̄. Here ρ is the relative
     reflectance, and S̄ is the mean of the illuminant S with the luminous efficiency ȳ as weight. The integral of the

@@ -70,7 +70,10 @@ class _ShadedTiles:
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy cached sums over the cells of tiles into a group. Return a mask of the tiles that are not cached."""
+        """Copy cached sums over the cells of tiles into a group. Return a mask of the tiles that are not cached.
+
+        A tile is a pixel that is divided into cells. A group is a set of pixels that are computed together.
+        """
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -105,7 +108,8 @@ class ThreadedTiles:
         self._rays, self._device = rays, rays.options["device"]
         self.count = 0
         self._threads = min(rays.options["threads"], pixel_filter.most_threads(rays.size))
-        # Buffers are stored for later pictures, because their allocation takes as much time as thousands of look-ups.
+        # Buffers (arrays of subpixel cells) are stored for later pictures, because their allocation takes as much time
+        # as thousands of look-ups.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
         self._shaded: _ShadedTiles | None = None
 
@@ -131,7 +135,7 @@ class ThreadedTiles:
         """Do nothing; only the executor on a GPU has work at the end of the refinement under a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a kernel call over ``elements``, which are pixels or tiles, in slices."""
+        """Launch a kernel call over ``elements``, which are pixels or tiles (subdivided pixels), in slices."""
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
@@ -172,7 +176,7 @@ class ThreadedTiles:
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of the tiles of a group whose level is ``level``, and add their colours to its sums."""
+        """Shade the cells of a group's tiles (subdivided pixels) at ``level``, and add their colours to its sums."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 
 class BufferKind(NamedTuple):
-    """Flags that say which optional arrays tile buffers have.
+    """Flags that say which optional arrays tile buffers (arrays of subpixel cells) have.
 
-    The flags are in the order of these optional arrays: geometry factors of directions that a table does not contain;
-    base colours; geometry factors at faces with the finish (surface and material) that is evaluated, if there are
-    several finishes; each ray's own direction to the light; metallic, roughness and emission of textures; and samples
-    in the frames of the dots of grating maps.
+    The flags are in the order of these optional arrays: geometry factors of directions that a colour table does not
+    contain; base colours; geometry factors at faces with the finish (surface and material) that is evaluated, if there
+    are several finishes; each ray's own direction to the light; metallic, roughness and emission of textures; and
+    samples in the frames of the dots (small rectangles) of grating maps.
     """
 
     needs_sampling: bool
@@ -50,7 +50,7 @@ class TileBuffers:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
+        samples: Samples of one lobe (direction to a light) at the hits; the samples of the next lobe overwrite them.
         colours: Colours of the rays, added over the lobes of a light.
         unserved_gain: Geometry factors of directions that a colour table does not contain.
         tiles: For each level, an array of the pixels whose cells are in the buffers. Only the array of the level that

@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 # Largest number of directions that the planner samples from the directions of a call. The planner tries plans (numbers
 # of a computation) on the sampled directions. If the number was doubled, planning would require more time.
 MOST_SAMPLED = 8192
-# If a call has fewer directions than this, the planner tries plans on all of them. Otherwise it samples at most half of
-# them.
+# If a call has fewer directions than this, the planner tries plans (numbers of a computation) on all of them. Otherwise
+# it samples at most half of them.
 _SAMPLED_FROM = 4096
-# Random seed that selects the sampled directions. It is arbitrary; with another seed, plans differ slightly.
+# Random seed that selects the sampled directions. It is arbitrary; with another seed, the planner selects slightly
+# different numbers of wavelengths and terms.
 _SEED = 2
 
 
@@ -95,8 +96,9 @@ def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
     A pass computes the directions of one part of the lights, such as a disc. The call has ``parts`` passes, and this
     pass has ``count`` illuminated directions.
     """
-    # The sample of a call is divided equally among the ``parts`` passes. Each pass contributes at least one direction.
-    # If the call has few directions, all of them are used.
+    # The sample of a call is divided equally among ``parts`` passes, each of which computes one part of the lights,
+    # such as a disc. Each pass contributes at least one direction. If the call has few directions, all of them are
+    # used.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
@@ -157,7 +159,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """Return the range that covers this range and ``other``; ranges without illuminated directions are ignored."""
+        """Return the range of directions that covers this one and ``other``; ranges without directions are ignored."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:

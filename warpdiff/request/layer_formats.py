@@ -76,12 +76,18 @@ BY_LIGHT = tuple(name for name, layer in LAYERS.items() if layer.by_light)
 
 
 def layer_format(name: str) -> LayerFormat:
-    """Return the format of a layer by its name, which may end in the index of a light, as ``"light.0"`` does."""
+    """Return the format of a layer by its name, which may end in the index of a light, as ``"light.0"`` does.
+
+    A layer is an additional array of a picture, such as the depths of its pixels.
+    """
     return LAYERS[name.partition(".")[0]]
 
 
 def layer_of(channel: str) -> str:
-    """Return the name of the layer of an EXR channel such as ``"light.0.R"``; an empty string if no layer has it."""
+    """Return the name of the layer of an EXR channel such as ``"light.0.R"``; an empty string if no layer has it.
+
+    A layer is an additional array of a picture, such as the depths of its pixels.
+    """
     name, _, rest = channel.partition(".")
     layer = LAYERS.get(name)
     if layer is None:

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     import os
     from pathlib import Path
 
-# Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
+# Format of saved plans (numbers of computations), written to each file. The number increases when a field of a plan
+# changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
-# Largest size of a file that is read as a plan [bytes]. A plan has about 1 kB. A much larger file is therefore not a
-# plan, and raises an error.
+# Largest size of a file that is read as a plan (numbers of a computation) [bytes]. A plan has about 1 kB. A much larger
+# file is therefore not a plan, and raises an error.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -46,9 +47,9 @@ MIN_RINGS, MAX_RINGS = 4, 512
 # `W_BASIS_STEP`, and at most `MOST_W_BASIS`. Kernels are compiled separately for each number of functions that occurs.
 # A smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
-# Smallest and largest accepted value of each field that states for which directions and wavelengths a plan is valid.
-# The limit 2.001 is for components of the scattering vector: each is the sum of components of two unit vectors, plus
-# rounding.
+# Smallest and largest accepted value of each field of a plan that states for which directions and wavelengths a plan is
+# valid. The limit 2.001 is for components of the scattering vector: each is the sum of components of two unit vectors,
+# plus rounding.
 _SCOPE = {
     **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
     **dict.fromkeys(("max_order_rate", "height_range_um"), (0.0, validation.MOST)),
@@ -215,7 +216,7 @@ class Plan:
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether look-ups compute the mean over the range of (u, v) of a pixel by mip levels (blurred tables)."""
+        """Whether table look-ups compute means over the range of (u, v) of a pixel by mip levels (blurred tables)."""
         return self.footprint and self.rings_per_octave > 0 and self.coherence.adds_powers
 
     @property

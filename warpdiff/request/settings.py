@@ -1,8 +1,8 @@
 """The options of the public functions: one frozen dataclass per group of options.
 
-A field states the type, range and unit of an option; ``Attributes:`` states its meaning. Everything else follows from
-the fields: keyword arguments (:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the
-viewer's controls and the fuzz tests.
+A field of such a class states the type, range and unit of an option; ``Attributes:`` states its meaning. Everything
+else follows from the fields: keyword arguments (:mod:`warpdiff.request.keywords`), signatures and docstrings, the
+command line, the viewer's controls and the fuzz tests.
 """
 
 from __future__ import annotations

@@ -23,9 +23,9 @@ class Surface(Checked):
     If a value is None, the setting of the call is used, such as ``shade(..., coherence=...)``.
 
     Attributes:
-        heightfield: Height field, whose x axis lies along the tangents of the mesh, or a map of its turned and scaled
-            copies.
-        coherence: Coherence: a window, a light source or a number of periods. A map without a coherence uses
+        heightfield: Height field, whose x axis lies along the tangents of the mesh, or a grating map, which divides the
+            surface into small rectangles with turned and scaled copies of a height field.
+        coherence: Coherence: a window, a light source or a number of periods. A grating map without a coherence uses
             ``Coherence("source")``.
         material: Material of the surface. None uses ``ior`` if that is not None, else the material of the call.
         ior: Index of refraction; ``math.inf`` is a perfect mirror.

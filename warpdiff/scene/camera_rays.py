@@ -162,7 +162,7 @@ class RasterizedRays(CameraRays):
     """
 
     def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
-        """Find the nearest faces for one of ``samples`` rays per pixel; return the calls that compute the hits."""
+        """Find the nearest faces for one of ``samples`` rays per pixel; return kernel calls for the hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else refinement_levels.FILTER_CUT, nearest)

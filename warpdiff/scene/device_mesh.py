@@ -54,7 +54,7 @@ class SceneArrays:
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
-        """Copy the arrays of a surface to a device.
+        """Copy the arrays of a prepared mesh (surface) to a device.
 
         If ``smooth`` is False, kernels use face normals instead of vertex normals.
         """
@@ -103,7 +103,7 @@ class SceneArrays:
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> SceneArrays:
-    """Return the arrays of a surface on a device. They are cached as long as the surface exists."""
+    """Return the arrays of a prepared mesh (surface) on a device. They are cached as long as the mesh exists."""
     scenes = _cached.setdefault(surface, LruCache())
     return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 

@@ -196,10 +196,10 @@ class _Net:
         return cls(node, positions, of_nodes, first, second, mass, laplacian)
 
     def components(self) -> Iterator[NDArray[np.int64]]:
-        """Yield the nodes of connected components. Components of equal size form one array, shape (components, size).
+        """Yield the nodes of connected components of the mesh. Components of equal size form one array each.
 
-        Components of more than ``_MOST_DENSE`` nodes are separate. Before the first one, an error is raised if any
-        component is too large.
+        The shape of an array is (components, size). Components of more than ``_MOST_DENSE`` nodes are separate. Before
+        the first one, an error is raised if any component is too large.
         """
         from scipy.sparse import csgraph
 
@@ -218,7 +218,10 @@ class _Net:
             start += size * count
 
     def matrices(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """Return the connection Laplacians of components of k nodes as dense matrices, shape (components, k, k)."""
+        """Return the connection Laplacians of components of k nodes as dense matrices, shape (components, k, k).
+
+        A component is a connected part of the mesh, and a node is a vertex position.
+        """
         result = np.zeros((*nodes.shape, nodes.shape[1]), np.complex128)
         local = np.zeros(len(self.mass), np.int64)
         local[nodes] = np.arange(nodes.shape[1])
@@ -229,8 +232,9 @@ class _Net:
     def candidates(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
         """Return six candidate fields of unit vectors at the nodes of components, as complex numbers, shape (…, 6).
 
-        The fields are along the three coordinate axes and around them. For bodies of revolution, plates and other
-        symmetric bodies, one of these fields is the smooth field.
+        A component is a connected part of the mesh, and a node is a vertex position. The fields are along the three
+        coordinate axes and around them. For bodies of revolution, plates and other symmetric bodies, one of these
+        fields is the smooth field.
         """
         positions, mass, normals = (
             self.positions.take(nodes, axis=1),

@@ -49,12 +49,12 @@ class GBuffer:
 
     @property
     def is_coloured(self) -> bool:
-        """Whether the arrays include the base colour at each hit."""
+        """Whether the G-buffer includes the base colour at each hit."""
         return len(self.pixels.base_colour) > 0
 
     @property
     def has_maps(self) -> bool:
-        """Whether the arrays include metallic, roughness and emission of textures."""
+        """Whether the G-buffer includes metallic, roughness and emission of textures."""
         return len(self.pixels.emission) > 0
 
     @property

@@ -94,7 +94,10 @@ class NotSampled:
 
     @classmethod
     def of(cls, scene: SceneArrays, is_plain: NDArray[np.bool_], maps: MaterialMaps | None) -> NotSampled:
-        """Return the masks for a scene. Both are False for rows without a plain face (face without a height field)."""
+        """Return the masks for a scene. Both are False for rows without a plain face (face without a height field).
+
+        The masks state for which rows textures cannot be sampled. A row is one material on one part of the scene.
+        """
         used = np.zeros(len(scene.appearances), np.bool_)
         used[scene.rows[is_plain & (scene.rows >= 0)]] = True
         none = [None] * len(used)

@@ -37,7 +37,7 @@ def opened(data: bytes) -> Image.Image:
     except Image.DecompressionBombError as error:
         raise OSError(str(error)) from None
     except Exception:
-        # Pillow raises errors of several classes for damaged data.
+        # Pillow raises errors of several classes for damaged image files.
         raise OSError(f"Pillow cannot read it as an image of the formats {', '.join(_FORMATS)}") from None
 
 

@@ -31,7 +31,7 @@ class _Part(NamedTuple):
         return "/".join(filter(None, self)) or "the whole mesh"
 
     def precedence(self, key: str) -> int | None:
-        """Return the precedence with which a key selects this part; None if the key does not select it.
+        """Return the precedence with which a key (a name or ``"*"``) selects this part; None if it does not select it.
 
         The highest precedence is 0.
         """
@@ -121,5 +121,5 @@ def _key_of(part: _Part, keys: Sequence[str], argument: str) -> int | None:
 
 
 def _listed(parts: Iterable[_Part]) -> str:
-    """Return the names of parts for a message."""
+    """Return the names of mesh parts for a message."""
     return listed([f"'{part}'" for part in parts])

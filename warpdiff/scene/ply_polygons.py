@@ -148,7 +148,7 @@ def _scalar(entry: _Property) -> str:
 
 
 def _uniform_rows(data: bytes, start: int, face: _Element, order: str) -> NDArray[Any] | None:
-    """Return the faces of a binary file as an array with one row per face; None if their lists differ in length."""
+    """Return the faces of a binary file as an array, one row per face; None if lists of corners differ in length."""
     fields: list[tuple[str, Any]] = []
     at = start
     for entry in face.properties:

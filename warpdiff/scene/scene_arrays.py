@@ -50,7 +50,7 @@ class PartAppearance:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Key that is equal for equal appearances; materials of a scene have different names."""
+        """Key for dictionaries, which is equal for equal appearances; materials of a scene have different names."""
         return self.material.name, self.texture, self.cutoff, self.has_map_uvs
 
 

@@ -109,7 +109,7 @@ class ScenePart:
     transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
     def placed(self) -> ScenePart:
-        """Return the part in world coordinates."""
+        """Return this part of the scene in world coordinates."""
         linear, shift = self.transform[:3, :3], self.transform[:3, 3]
         determinant = float(np.linalg.det(linear))
         normals, tangents = self.normals, self.tangents

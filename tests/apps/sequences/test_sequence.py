@@ -78,7 +78,8 @@ def test_a_sweep_moves_from_one_direction_to_the_other_at_constant_speed():
 def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     lamp, sky = wd.PointLight((0.1, 2.0, 0.0), power=3.0), wd.Environment.clear_sky((1.0, 1.0, 0.0))
     disc = dataclasses.replace(LIGHT, angular_diameter_deg=3.0)
-    # The point light moves along a quarter circle around the target, at its initial distance.
+    # The point light moves along a quarter circle around the target (point in the middle of the view), at its initial
+    # distance.
     shots = wd.light_sweep([lamp, disc], VIEW, (0.0, 0.0, 5.0), count=3)
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
@@ -148,7 +149,7 @@ def test_a_path_is_read_from_a_file(tmp_path):
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     """Frames under all kinds of light must equal those of ``shade``, also if a worker process renders them.
 
-    The arrays of a sky must be the same objects in all shots.
+    The arrays of a sky must be the same objects in all shots (lights and camera of each frame).
     """
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)

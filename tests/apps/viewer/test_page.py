@@ -262,8 +262,9 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The page also shows a command line that draws its picture. This command makes its own plan, for the directions of
-    # this one picture. Its pixels therefore agree only approximately with those of the page.
+    # The page also shows a command line that draws its picture. This command makes its own plan (method, number of
+    # wavelengths and so on), for the directions of this one picture. Its pixels therefore agree only approximately with
+    # those of the page.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0

@@ -59,7 +59,7 @@ def test_every_control_is_part_of_a_scene(files, tmp_path):
 
 @pytest.fixture
 def recorded(monkeypatch, tmp_path):
-    """Replace functions for gratings, meshes and environments by functions that return their name and arguments."""
+    """Replace functions for gratings, meshes and environment lights by ones that return name and arguments."""
 
     def recorder(function):
         @functools.wraps(function)
@@ -157,7 +157,7 @@ def test_a_scene_has_a_light_or_an_environment_or_both(files):
 
 @pytest.mark.parametrize("values", [{}, {"coherence": "source"}])
 def test_grating_maps_of_the_command_line_are_part_of_scene_python_lines_and_command(values, monkeypatch, tmp_path):
-    """The renderer of the viewer, the printed lines and the printed command must have the same map and coherence."""
+    """The renderer of the viewer, the printed lines and the command must have the same grating map and coherence."""
     Image.fromarray(np.array([[0, 64], [128, 255]], dtype=np.uint8)).save(tmp_path / "turn.png")
     path = str(tmp_path / "turn.png")
     dots = (("turn_deg", (path, 0.0, 90.0)), ("pitch_scale", 1.25))

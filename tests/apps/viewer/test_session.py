@@ -210,7 +210,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # If the time limits for previews are very short, the viewer behaves as on a slow machine.
+        # If the time limits for previews (unrefined pictures) are very short, the viewer behaves as on a slow machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):

@@ -187,7 +187,7 @@ def distance(state):
 
 
 def test_dragging_rotates_body_and_light(shown):
-    """The mouse must rotate the body and the light by dragging, change the distance by its wheel, and move the slider.
+    """The mouse must rotate the mesh and the light by dragging, change the distance by its wheel, and move the slider.
 
     The slider changes the exposure, and the reset button returns to the first view.
     """

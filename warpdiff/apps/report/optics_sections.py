@@ -1,4 +1,4 @@
-"""Sections of a report about diffraction: reliability of scalar theory, orders, colours, map, comparison with data."""
+"""Sections of a report about diffraction: scalar theory, orders, colours, reflectance map, measured curve."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ class ReportData:
         return 0.0 < min(shares) < _WHOLE
 
     def attempt(self, name: str, compute: Callable[[], _T]) -> _T | None:
-        """Return the result of ``compute``; if it fails, return None and store the reason under ``name``."""
+        """Return the result of ``compute``; if it fails, return None and store the reason in ``reasons[name]``."""
         with self._collecting():
             try:
                 return compute()

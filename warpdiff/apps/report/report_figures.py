@@ -32,8 +32,8 @@ _DPI = 150
 # Largest number of samples along an axis of a height map. If a field has more samples, only every n-th sample is drawn.
 # The number was chosen because more samples are not visible at 150 dots per inch.
 _MOST_DRAWN = 1400
-# Width of pictures of curves, and of pictures of maps [inches]. Both were chosen so that the text of the pictures is
-# legible on a screen with a width of 400 pixels.
+# Width of pictures of curves, and of pictures of maps, such as the height map [inches]. Both were chosen so that the
+# text of the pictures is legible on a screen with a width of 400 pixels.
 _WIDE, _SQUARE = 5.6, 5.4
 # The report also shows the middle of a field enlarged, a square with the side `_ZOOM_UM` [µm]. This picture exists only
 # if each side of the field is at least `_LEAST_FIELD` times as long as the side of the square.

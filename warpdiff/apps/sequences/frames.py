@@ -46,7 +46,7 @@ class FrameJob:
     """Description of the work that all frames of a sequence share.
 
     Attributes:
-        key: Hash of all inputs of the frames: renderer, shots and options.
+        key: Hash of all inputs of the frames: renderer, shots (lights and camera of each frame) and options.
         suffixes: Suffixes of each frame's files: ``".png"``, ``".exr"``.
         shown: Options of the display, with the exposure of all PNG files.
         background: Background of PNG files; None is transparent.
@@ -79,7 +79,7 @@ class FrameRenderer:
         self._skies: LruCache[Environment] = LruCache(_MOST_SKIES)
 
     def draw(self, shot: Shot, progress: Callable[[float], None] | None = None) -> Image:
-        """Return the picture of a shot."""
+        """Return the picture of a shot, which has the lights and the camera of one frame."""
         lights = [self._transient(light) for light in shot.lights]
         self.renderer.draw(lights, shot.view, progress=progress)
         return self.renderer.image()
@@ -87,9 +87,9 @@ class FrameRenderer:
     def _transient(self, light: Light) -> Light:
         """Return a copy of an environment light; return other lights unchanged.
 
-        An environment keeps device arrays of 7 MB as long as it exists. The environments of the shots exist during the
-        whole sequence, so their copies are rendered instead. Only the last few copies are kept, and the arrays of older
-        copies are freed.
+        An environment keeps device arrays of 7 MB as long as it exists. The environments of the shots (lights of the
+        frames) exist during the whole sequence, so their copies are rendered instead. Only the last few copies are
+        kept, and the arrays of older copies are freed.
         """
         if not isinstance(light, Environment):
             return light
@@ -110,7 +110,8 @@ def draw_frame(
     return contents
 
 
-# Renderer and shots of the sequence that this worker process drew last, by the key of the sequence.
+# Renderer and shots (lights and camera of each frame) of the sequence that this worker process drew last, by the key of
+# the sequence, a hash of all inputs.
 _sequences: dict[str, tuple[FrameRenderer, Sequence[Shot]]] = {}
 _making = threading.Lock()
 
@@ -120,7 +121,8 @@ def draw_in_worker(job: FrameJob, pickled: bytes, index: int) -> dict[str, bytes
 
     Args:
         job: Work that all frames share.
-        pickled: Pickle of the renderer and the shots. A worker unpickles it once per sequence.
+        pickled: Pickle of the renderer and the shots (lights and camera of each frame). A worker unpickles it once per
+            sequence.
         index: Index of the frame.
     """
     with _making:
@@ -137,9 +139,9 @@ def draw_by_workers(
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
     """Yield the index and the files of each frame, in the order in which workers finish them.
 
-    Each worker receives the renderer and the shots once, in one pickle, in which the shots share the images of
-    environments. If a worker is lost, another worker draws its frame. If all workers with the pickle are lost, the
-    pickle is sent again. The first error of a frame ends the iteration.
+    Each worker receives the renderer and the shots (lights and camera of each frame) once, in one pickle, in which the
+    shots share the images of environments. If a worker is lost, another worker draws its frame. If all workers with the
+    pickle are lost, the pickle is sent again. The first error of a frame ends the iteration.
     """
     from distributed import CancelledError, as_completed
 
@@ -170,8 +172,8 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # At this point, no worker has the pickle of renderer and shots any more. Dask cannot recompute data that
-            # was sent from here, so that the next attempt sends the pickle again.
+            # At this point, no worker has the pickle of renderer and shots (lights and cameras of the frames) any more.
+            # Dask cannot recompute data that was sent from here, so that the next attempt sends the pickle again.
             if attempt == _RETRIES:
                 raise
         finally:

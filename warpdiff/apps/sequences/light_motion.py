@@ -74,12 +74,12 @@ class Rotation:
                 "or let the light stay"
             )
         degrees = light.rotation_deg + math.copysign(1.0, self.axis[1]) * math.degrees(self.angle)
-        # The rotated environment is a copy that shares the radiance maps of the original.
+        # The rotated environment light is a copy that shares the radiance maps of the original.
         return with_settings(light, math.remainder(degrees, 360.0), light.scale, light.directions)
 
 
 def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit vector from the point ``centre`` to a directional or point light, the first light of a shot."""
+    """Return the unit vector from the point ``centre`` to a directional or point light, the first light of a frame."""
     if isinstance(light, DirectionalLight):
         return np.array(light.to_light)
     if isinstance(light, PointLight):

@@ -189,7 +189,10 @@ def _check_shots(shots: Any, renderer: Renderer) -> None:
 
 
 def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
-    """Return a hash of everything that determines the files of a sequence: renderer, shots, and options of saving."""
+    """Return a hash of everything that determines the files of a sequence: renderer, shots, and options of saving.
+
+    A shot has the lights and the camera of one frame.
+    """
     digest = hashlib.sha256(str(_VERSION).encode())
     _feed(digest, saving)
     state = renderer.__getstate__()
@@ -202,12 +205,14 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     device = settings.device.partition(":")[0]
     _feed(digest, (device, state["surface"], state["heightfield"]))
     radiances: dict[int, str] = {}
-    # Each shot is hashed as its text (``repr``), because this is fast enough for 100,000 shots.
+    # Each shot (lights and camera of one frame) is hashed as its text (``repr``), because this is fast enough for
+    # 100,000 shots.
     for shot in shots:
         digest.update(repr(shot).encode())
         for light in shot.lights:
-            # The text of a shot contains only the names of spectra, and rounded settings of environments. Exact
-            # settings and all arrays of spectra and environments are therefore hashed as well.
+            # The text of a shot (lights and camera of one frame) contains only the names of spectra, and rounded
+            # settings of environments. Exact settings and all arrays of spectra and environments are therefore hashed
+            # as well.
             if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
                 _feed(digest, light.illuminant)
             elif isinstance(light, Environment):
@@ -241,7 +246,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
-    """Read the manifest of a folder: the key and the exposure of its frames; return {} if the folder has no frames.
+    """Read the manifest of a folder, the hash of the inputs and the exposure of its frames; return {} without frames.
 
     Args:
         folder: Folder of the frames.

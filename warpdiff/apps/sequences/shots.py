@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Largest number of shots. It was chosen so that a sequence of one hour is possible, which has 86,400 frames at 24
-# frames per second. A shot requires a few kilobytes.
+# Largest number of shots (lights and camera of one frame each) of a sequence. It was chosen so that a sequence of one
+# hour is possible, which has 86,400 frames at 24 frames per second. A shot requires a few kilobytes.
 MOST_SHOTS = 100_000
 # Largest number of turns of a turntable or of moving lights. A larger number is probably an angle in degrees.
 _MOST_TURNS = 1e6
@@ -67,6 +67,8 @@ def turntable(
     lights: Light | Sequence[Light], view: View, *, count: Count = 36, turns: Turns = 1.0, lights_follow: bool = True,
 ) -> list[Shot]:  # fmt: skip
     """Make the shots of a body that rotates about the axis through the view's target along the view's ``up``.
+
+    A shot has the lights and the camera of one frame.
 
     :meth:`warpdiff.View.fit` returns a view that shows the whole body in all frames::
 
@@ -116,8 +118,9 @@ def light_sweep(
 ) -> list[Shot]:  # fmt: skip
     """Make the shots of lights that move at a constant rate while body and camera are at rest.
 
-    Directional lights and discs change their direction. Point lights move on a circle around the view's target.
-    Environments rotate about +y. Several lights move together, as if they were fixed to each other::
+    A shot has the lights and the camera of one frame. Directional lights and discs change their direction. Point lights
+    move on a circle around the view's target. Environments rotate about +y. Several lights move together, as if they
+    were fixed to each other::
 
         view = wd.View.fit(wd.meshes.snake(), width=480, height=260)
         shots = wd.light_sweep(wd.PointLight((0.0, 2.0, 1.0)), view, (1.0, 1.0, 0.0))  # along a great circle
@@ -181,6 +184,8 @@ def camera_path(
 ) -> list[Shot]:  # fmt: skip
     r"""Make the shots of a camera whose path is in a file.
 
+    A shot has the lights and the camera of one frame.
+
     Args:
         path: CSV file with a header and one row per frame or key frame. The columns are ``eye_x``, ``eye_y``,
             ``eye_z``, ``target_x``, ``target_y``, ``target_z`` and optionally ``up_x``, ``up_y``, ``up_z`` and
@@ -212,7 +217,8 @@ def camera_path(
         try:
             rows = _between(rows, count)
         except ValueError:
-            # SciPy raises an error if the slope between two rows exceeds the largest number of float64.
+            # SciPy raises an error if the slope between two rows (key frames) of a camera path exceeds the largest
+            # number of float64.
             raise ArgumentValueError(
                 f"{ref('path')}: numbers of {str(path)!r} are too large for positions of a camera"
             ) from None
@@ -234,7 +240,7 @@ def camera_path(
 
 
 def _check_lights(lights: Any) -> list[Light]:
-    """Return the lights of a shot as a checked list. The argument is one light or several."""
+    """Return the lights of a frame as a checked list. The argument is one light or several."""
     result = listed(lights)
     for index, light in enumerate(result):
         if isinstance(light, LobeLight):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 BODIES = {"snake": "snake", "tube": "tube", "disc": "disc", "card": "card"}
-# Names of long bodies, on which the height field's x axis can point around the body or along it.
+# Names of long sample meshes, on which the height field's x axis can point around the mesh or along it.
 LONG_BODIES = ("snake", "tube")
 GRATINGS = {
     "fingers": "nano-fingers", "bumps": "bumps", "sinusoidal": "sinusoidal", "lamellar": "lamellar", "blazed": "blazed",
@@ -237,8 +237,8 @@ def controls(
              shown_if=any_light),
         _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
              slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
-        # Previews approximate a disc light by a single Gaussian of directions. The slider ends at the largest diameter
-        # for which this approximation is accepted.
+        # Previews (unrefined pictures) approximate a disc light by a single Gaussian of directions. The slider ends at
+        # the largest diameter for which this approximation is accepted.
         Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
                 shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
         Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# JPEG settings of previews. Chroma subsampling is off, because it would average colours over 2 × 2 pixels and falsify
-# narrow diffraction orders.
+# JPEG settings of previews (unrefined pictures). Chroma subsampling is off, because it would average colours over 2 × 2
+# pixels and falsify narrow diffraction orders.
 _JPEG = {"quality": 92, "subsampling": 0}
 
 

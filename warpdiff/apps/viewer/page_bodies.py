@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
     from warpdiff.request.settings import TangentRule
 
-# Vertical field of view of the initial camera [degrees]. A small angle was chosen because a wide one distorts the body.
+# Vertical field of view of the initial camera [degrees]. A small angle was chosen because a wide one distorts the mesh.
 _FOV_Y_DEG = 25.0
-# Direction from the body to the initial camera, a unit vector in the world frame.
+# Direction from the mesh to the initial camera, a unit vector in the world frame.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)
 
 
 def surface_of(mesh: Call | Path, tangents: TangentRule | None) -> Surface:
-    """Return the prepared mesh (surface) of a mesh file or of a sample body.
+    """Return the prepared mesh (surface) of a mesh file or of a sample mesh (body).
 
     Sample bodies are stored in the disk cache, because making one requires more time than rendering a picture.
 
@@ -55,7 +55,7 @@ def surface_of(mesh: Call | Path, tangents: TangentRule | None) -> Surface:
 
 
 def framed(surface: Surface, width: int, height: int) -> wd.View:
-    """Return the initial view of a body, in which the body fills the picture."""
+    """Return the initial view of a mesh, in which the mesh fills the picture."""
     view = wd.View.fit(surface, _TOWARDS_EYE, fov_y_deg=_FOV_Y_DEG, width=width, height=height)
     x, y, z = np.round(view.eye, 6).tolist()
     return dataclasses.replace(view, eye=(x, y, z), target=tuple(np.round(view.target, 6).tolist()))
@@ -72,7 +72,7 @@ def local_directions(
     surface: Surface, view: wd.View, light: wd.DirectionalLight | wd.PointLight, column: int, row: int, *, smooth: bool,
     device: wp.Device, threads: int,
 ) -> LocalDirections | None:  # fmt: skip
-    """Return the directions to light and viewer at the point where the ray through a pixel's centre hits the body.
+    """Return the directions to light and viewer at the point where the ray through a pixel's centre hits the mesh.
 
     The directions are in the local frame of the point. Without a hit, the result is None.
     """
@@ -138,7 +138,7 @@ def height_field_of(call: Call) -> wd.HeightField:
 
 
 def resting_view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the camera of a page's full-size picture: the camera of the request, or else the body's initial camera."""
+    """Return the camera of a page's full-size picture: that of the request, or else the initial camera of the mesh."""
     height = request.values["height"]
     width = max(round(request.aspect * height), 1)
     if request.camera is None:

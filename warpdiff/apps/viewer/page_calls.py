@@ -52,7 +52,7 @@ class Call:
 
     @classmethod
     def of(cls, function: str, *operands: Any, **options: Any) -> Call:
-        """Return a call of a function with positional and keyword arguments."""
+        """Return a stored call of a function with positional and keyword arguments."""
         return cls(function, operands, tuple(options.items()))
 
     def make(self) -> Any:
@@ -92,7 +92,8 @@ class NamedFiles:
         environments: Image files of environment lights that the page offers.
         loading: Options of ``HeightField.load``.
         cleaning: Cleaning methods of ``HeightField`` with their options, in order of application.
-        dots: Arguments of a ``GratingMap`` by name, which repeats every height field as its cell; empty without a map.
+        dots: Arguments by name of a ``GratingMap``, which repeats every height field in small rectangles (dots) of the
+            surface; empty without a map.
     """
 
     meshes: tuple[Path, ...] = ()
@@ -131,7 +132,7 @@ class PageRequest:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that determines a picture except the view: body, height field, lights and options.
+    """Everything that determines a picture except the view: mesh (body), height field, lights and options.
 
     Attributes:
         mesh: Call that makes a sample body, or path of a mesh file.
@@ -143,7 +144,8 @@ class Scene:
         tolerance: Tolerance of the final picture.
         sky: Call that makes the environment light; None without one.
         is_behind: Whether the environment is the background of the picture.
-        dots: Arguments of the ``GratingMap`` that has the height field as its cell; empty without a map.
+        dots: Arguments of the ``GratingMap`` that repeats the height field in small rectangles (dots) of the surface;
+            empty without a map.
     """
 
     mesh: Call | Path
@@ -178,7 +180,8 @@ class Scene:
         options = arguments(known, values, "picture") | {"tangents": tangents}
         window = arguments(known, values, "coherence")
         if files.dots:
-            # The default coherence of a grating map is not that of a height field. The page states its own one.
+            # The default coherence of a grating map is not that of a height field. With a map, the coherence that the
+            # page shows is therefore always passed explicitly.
             window = {"kind": values["coherence"]} | window
         if window:
             options["coherence"] = Call.of("Coherence", **window)
@@ -212,12 +215,15 @@ class Scene:
 
     @property
     def surface(self) -> Call:
-        """Call that makes the surface: the height field, or the grating map with the height field as its cell."""
+        """Call that makes the surface: the height field, or the grating map with the height field as its cell.
+
+        A grating map divides the surface into small rectangles, each with a copy of its cell.
+        """
         return Call("GratingMap", (self.heightfield,), self.dots) if self.dots else self.heightfield
 
     @property
     def normal(self) -> float:
-        """Reflectance at normal incidence by which pictures are divided; 1 if the body has a ``Material``."""
+        """Reflectance at normal incidence by which pictures are divided; 1 if the mesh has a ``Material``."""
         shading = self.shading
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
@@ -319,7 +325,7 @@ def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _named(call: Call | Path) -> str:
-    """Return the word that stands for a body, a grating or a light on a command line: ``fingers:size_um=25.6``."""
+    """Return the word that stands for a mesh, a grating or a light on a command line: ``fingers:size_um=25.6``."""
     if isinstance(call, Path):
         return str(call)
     parameters = ",".join(f"{name}={'x'.join(_texts(value))}" for name, value in call.options)
@@ -370,7 +376,7 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, TangentRule | None]:
-    """Return the selected body, and the rule for the direction of the height field's x axis.
+    """Return the selected mesh (body), and the rule for the direction of the height field's x axis.
 
     The rule is None if the texture coordinates of the body determine the direction.
     """

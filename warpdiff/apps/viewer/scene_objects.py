@@ -32,7 +32,9 @@ _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 
 
 class SceneObjects:
-    """Objects of scenes, made at the first use and cached. A key is the text of the library call that makes the object.
+    """Objects of scenes (meshes, height fields, lights, renderers), made at the first use and cached.
+
+    A key of a cache is the text of the library call that makes the object.
 
     Attributes:
         device: Warp device on which pictures are rendered.
@@ -60,7 +62,7 @@ class SceneObjects:
         return self._height_fields.get_or_make(str(call), lambda: page_bodies.height_field_of(call))
 
     def lights(self, scene: Scene) -> list[Any]:
-        """Return the light and the environment of a scene. An unchanged environment is always the same object."""
+        """Return the light and the environment light of a scene. An unchanged environment light is the same object."""
         lights = [] if scene.light is None else [scene.light.make()]
         if (sky := scene.sky) is None:
             return lights
@@ -106,7 +108,8 @@ class SceneObjects:
         options |= {"device": self.device.alias, "threads": self.threads, "refine": False}
         view = page_bodies.framed(surface, 16, 12)
         if scene.dots:
-            # A plan for a map depends on the dots, so that the cached plan of its cell would not suffice.
+            # A plan (method, number of wavelengths and so on) for a grating map depends on its dots, small rectangles
+            # with one grating each. The cached plan of a single grating would not suffice.
             dots = wd.GratingMap(heightfield, **dict(scene.dots))
             return wd.Renderer(surface, dots, lights, view, tolerance=scene.tolerance, **options)
         made: list[wd.Renderer] = []
@@ -135,6 +138,7 @@ def _bytes_of(renderer: wd.Renderer) -> float:
 def _illuminants(scene: Scene) -> tuple[str, ...]:
     """Return texts that identify the spectra of a scene's lights, including those of an environment and its sun."""
     named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    # The spectra of an environment depend on its file. Those of a clear sky do not depend on the position of the sun.
+    # The spectra of an environment light depend on its image file. Those of a clear sky do not depend on the position
+    # of the sun.
     paths = () if scene.sky is None else (operand for operand in scene.sky.operands if isinstance(operand, str))
     return named if scene.sky is None else (*named, scene.sky.function, *paths)

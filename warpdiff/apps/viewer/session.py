@@ -58,16 +58,16 @@ _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 _SCALES = (1.0, 0.75, 0.5, 0.375)
 # Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` while the user drags.
 _LEAST_PIXELS = 320 * 240
-# The median time of the last `_TIMED` previews predicts the time of the next preview. The size of previews increases
-# only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the size would change
-# back and forth.
+# The median time of the last `_TIMED` previews (unrefined pictures) predicts the time of the next preview. The size of
+# previews increases only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the
+# size would change back and forth.
 _TIMED, _HEADROOM = 5, 0.8
 # Width and height of the reflectance map [pixels]. The size is limited because twice the width and height require four
 # times the time.
 MAP_SIZE = 192
 # Shortest time between two progress messages to a page [s].
 _REPORT_S = 0.5
-# Smallest coverage at which a pixel counts as completely covered by the body. It is below 1 because of rounding errors.
+# Smallest coverage at which a pixel counts as completely covered by the mesh. It is below 1 because of rounding errors.
 _FULL_COVERAGE = 0.999
 
 
@@ -125,7 +125,7 @@ class Session:
 
 
 class Studio:
-    """Renderer for all pages, with its own thread."""
+    """Renderer for all open pages of the viewer, with its own thread."""
 
     def __init__(
         self, files: NamedFiles, values: Mapping[str, Any], *, device: Any = None, threads: int | None = None
@@ -146,7 +146,7 @@ class Studio:
         # Part of the time does not depend on the number of pixels, so that the square root predicts better than the
         # number itself.
         self._times: deque[float] = deque(maxlen=_TIMED)
-        # Number of pixels of the last preview.
+        # Number of pixels of the last preview (unrefined picture).
         self._last_pixels = math.inf
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
@@ -222,6 +222,8 @@ class Studio:
 
     def _next(self) -> tuple[Session, PageRequest, int]:
         """Wait for the next picture to draw, and return its page, request and stage.
+
+        A stage is one of the successive pictures that answer a request of a page.
 
         Previews precede refined pictures, and pages take turns.
         """
@@ -322,7 +324,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the current picture of the renderer to the page, as the picture of the next stage."""
+            """Send the current picture of the renderer to the page, as the picture of the next stage (tolerance)."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()
@@ -352,13 +354,14 @@ class Studio:
             session.stage += 1
             session.send(description | result, data)
 
-        # Without an environment, one call of the renderer draws all remaining stages, each of which refines the
-        # previous one. With an environment, each stage is a call of its own, because stages sample different numbers of
-        # directions.
+        # Without an environment light, one call of the renderer draws all remaining stages (pictures of decreasing
+        # tolerance), each of which refines the previous one. With an environment, each stage is a call of its own,
+        # because stages sample different numbers of directions.
         last = len(stages) - 1 if index and scene.sky is None else index
         previews = {stage.tolerance: send for stage in stages[index:last] if stage.tolerance is not None}
         renderer.draw(lights, view, progress=progress, previews=previews)
-        # The renderer skips intermediate stages if no pixel needs refinement. The last stage is sent in any case.
+        # The renderer skips intermediate stages (pictures of larger tolerances) if no pixel needs refinement. The last
+        # stage is sent in any case.
         session.stage = last
         send()
         if not index:
@@ -402,7 +405,7 @@ class Studio:
     ) -> None:
         """Send the directions to light and viewer at the probe, and the reflectance map for this light.
 
-        The probe is a point on the body that the user selects.
+        The probe is a point on the mesh that the user selects.
         """
         image, display = session.picture or (None, {})
         pixel = None
@@ -440,7 +443,7 @@ class Studio:
             illuminant=light.illuminant, device=self._objects.device.alias, threads=self._objects.threads,
             progress=progress, **options,
         )  # fmt: skip
-        # The map has its own automatic exposure and no background.
+        # The reflectance map has its own automatic exposure and no background.
         shown = {name: value for name, value in display.items() if name not in ("exposure", "background")}
         pixels = encoding.displayed(disc, exact=False, **shown)
         session.send(message | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))

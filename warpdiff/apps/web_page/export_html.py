@@ -61,7 +61,7 @@ _ENTRIES_OF_W = 512
 # Largest number of lights of a page. The number is limited because the page renders the mesh and a shadow map for every
 # light in every frame.
 _MOST_LIGHTS = 8
-# Suffixes of the file of a page.
+# Suffixes of the HTML file of an exported page.
 SUFFIXES = (".html", ".htm")
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
@@ -351,6 +351,6 @@ def _filled(header: dict[str, Any], arrays: Arrays, title: str) -> str:
         "HEADER": json.dumps(header).replace("<", "\\u003c"), "DATA": arrays.base64(),
         **{name: folder.joinpath(file).read_text(encoding="utf-8") for name, file in _PARTS.items()},
     }  # fmt: skip
-    # All placeholders are replaced in one pass. A text that looks like a placeholder in an inserted part is therefore
-    # not replaced.
+    # All placeholders are replaced in one pass. A text in an inserted array or script that looks like a placeholder is
+    # therefore not replaced.
     return re.sub("@([A-Z_]+)@", lambda match: filling[match[1]], page)

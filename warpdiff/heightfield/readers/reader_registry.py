@@ -152,7 +152,7 @@ def register_reader(
 
 
 def registered() -> tuple[RegisteredReader, ...]:
-    """Return all readers, in the order of registration."""
+    """Return all registered readers of height files, in the order of registration."""
     return tuple(dict.fromkeys(entry for entries in _readers.values() for entry in entries))
 
 
@@ -300,7 +300,7 @@ def clipped_share(samples: NDArray[Any]) -> float:
 
 
 def _because(reason: str) -> str:
-    """Return the reason why a line of a file was not read, in the form that continues an error message."""
+    """Return the reason why a header line of a file was not read, in the form that continues an error message."""
     return f" (header: {reason})" if reason else ""
 
 

@@ -56,9 +56,9 @@ def facts_of(header: Sequence[str], form: Form, signs: Signs) -> Facts:
             if length is not None and len(statements) == 1:
                 unnamed.append((index, length))
     facts.decide()
-    # The program Gwyddion writes width and height in two lines before the line with the unit of the heights. The keys
-    # of width and height are in the language of the user. They are therefore recognised by the order of the three
-    # lines.
+    # The program Gwyddion writes width and height in two lines before the line with the unit of the heights. The texts
+    # before both numbers (keys) are in the language of the user. They are therefore recognised by the order of the
+    # three lines.
     if not facts.has_scale and not facts.unclear_size and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
         below = text_units.LINE.fullmatch(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
         if below and text_keys.words_of(below["key"]) == "value units":

@@ -12,7 +12,7 @@ Axis = Literal["x", "y", ""]
 
 # Matches a word that may be a unit of length, with both Unicode characters of µ.
 UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
-# Matches the unit in a key, such as "Width (µm)", "X length in µm" or "Size X/µm".
+# Matches the unit in the key of a header line, such as "Width (µm)", "X length in µm" or "Size X/µm".
 IN_KEY = re.compile(
     rf"[\[(]\s*(?P<bracket>{UNIT})\s*(?P<per>/\s*(?:pixel|pix|px|point|sample))?\s*[\])]"
     rf"|(?:\s*/\s*|\s+in\s+)(?P<word>{UNIT})(?=\W*$)"
@@ -45,8 +45,8 @@ _PITCHES = _names(
     "xy justierung|dxy|xy step|xy pitch|camera res|camera resolution|pixelgröße|pixelabstand|punktabstand",
     "taille de pixel|tamaño de píxel|dimensione pixel|tamanho do pixel",
 )
-# Keys that state a pitch only if they also name an axis. Without an axis, "step" and "pitch" may state the step of the
-# focus along z.
+# Keys of header lines that state a pitch (distance of samples) only if they also name an axis. Without an axis, "step"
+# and "pitch" may state the step of the focus along z.
 _PITCHES_OF_AXIS = _names("d|δ|step|step size|pitch|increment|sampling|interval|pixel")
 _OWN_PITCHES: dict[str, Axis] = {"pixel width": "x", "pixel height": "y"}
 _OF_ROWS = re.compile(r"(?:line|row)s? (?=spacing|distance|pitch|step)")
@@ -58,8 +58,8 @@ _COUNTS: dict[str, Axis] = {
     **dict.fromkeys(("h", "rows", "nrows", "lines", "number of rows", "number of lines", "num rows", "numrows"), "y"),
     **dict.fromkeys(("vertical", "vertikal", "zeilen"), "y"),
 }
-# Keys that state numbers of samples: along an axis if they also name this axis, otherwise along both axes. The keys
-# "n", "res" and "dim" must name an axis.
+# Keys of header lines that state a number of samples: along an axis if they also name this axis, otherwise along both
+# axes. The keys "n", "res" and "dim" must name an axis.
 _COUNTS_OF_AXIS = _names(
     "n|res|dim|pixel|pixels|points|samples|resolution|number of pixels|number of points|image size|size|grid",
     "data points",
@@ -104,7 +104,7 @@ class Key(NamedTuple):
 
 
 def words_of(key: str) -> str:
-    """Return a key in the form of the lists of keys: in lower case, without units, hyphens and underscores."""
+    """Return the key of a header line as in the lists of keys: in lower case, without units, hyphens, underscores."""
     match = IN_KEY.search(key)
     if match is not None and (match["bracket"] or length_units.factor_of(match["word"]) is not None):
         key = f"{key[: match.start()]} {key[match.end() :]}"
@@ -116,7 +116,7 @@ def key_of(text: str, *, per_pixel: bool = False) -> Key:
     """Return the fact (size, pitch or count, and axis) that a key states; ``kind`` is empty if the key is not known.
 
     Args:
-        text: Key, as :func:`words_of` returns it.
+        text: Key of a header line "key: value", as :func:`words_of` returns it.
         per_pixel: Whether the value has a unit per pixel, such as nm/pixel.
     """
     axis, base = _axis_and_base(text)
@@ -157,7 +157,10 @@ def _axis_and_base(text: str) -> tuple[Axis, str]:
 
 
 def unit_in_key(key: str) -> tuple[float | None, bool]:
-    """Return the size [µm] of the unit in a key, None without a unit of length, and whether the unit is per pixel."""
+    """Return the size [µm] of the unit in a key, None without a unit of length, and whether the unit is per pixel.
+
+    The key is the text before the colon of a header line "key: value".
+    """
     match = IN_KEY.search(key)
     if match is None:
         return None, False
@@ -165,7 +168,10 @@ def unit_in_key(key: str) -> tuple[float | None, bool]:
 
 
 def states_unit_z(words: str, *, is_plain: bool) -> bool:
-    """Whether a key states the unit of heights. Keys such as "z" do so only if the value has no number (is plain)."""
+    """Whether a key states the unit of heights. Keys such as "z" do so only if the value has no number (is plain).
+
+    The key is the text before the colon of a header line "key: value".
+    """
     return words in _UNITS_Z or (is_plain and words in _WEAK_UNITS_Z)
 
 

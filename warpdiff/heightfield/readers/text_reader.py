@@ -187,8 +187,8 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     values, notes = text_facts.without_codes(file, values, facts)
     is_wsxm = any("WSxM" in line for line in block.header)
     if is_wsxm:
-        # The program WSxM writes each row from the largest x to the smallest, and rows from the smallest y to the
-        # largest.
+        # The program WSxM writes each row of heights from the largest x to the smallest, and rows from the smallest y
+        # to the largest.
         values = values[::-1, ::-1]
         notes = (
             *notes,

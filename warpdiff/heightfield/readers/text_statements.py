@@ -31,7 +31,8 @@ _UNIT = re.compile(
 _STRANGE_UNIT = re.compile(r"\s*[^\s\d,;:=()\[\]|/×*+\-–—….~]")
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels", "pts", "points", "samples", "píxeles", "pixeles"))
 _COLUMNS, _ROWS = frozenset(("columns", "cols")), frozenset(("rows", "lines"))
-# Words that may occur between the two numbers of a size, such as "x" and "by"; they are neither units nor keys.
+# Words that may occur between the two numbers of a size in a header line, such as "x" and "by"; they are neither units
+# nor keys (names of quantities).
 _LINKS = frozenset(("x", "y", "by", "to", "and", "und", "et", "along", "in", "per", "axis", "direction", "at", "of"))
 _PRODUCT = re.compile(r"\s*(?:[x×*]|by)\s*", re.IGNORECASE)
 _LABEL = r"[(\s:]*(?:along |in )?\b([xy])\b(?:[ -](?:axis|direction))?[)\s]*[:=]?\s*"
@@ -140,7 +141,8 @@ class Statement:
         """Meaning of the key in a header line: a size, a pitch or a number of samples, and its axis."""
         per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
         key = text_keys.key_of(self.words, per_pixel=per_pixel)
-        # Words such as "(x, y)", which name the order of two numbers, also name the axes of a key such as "Step".
+        # Words such as "(x, y)", which name the order of two numbers, also name the axes of a key such as "Step", the
+        # text before the numbers.
         order = _ORDER.search(self.text)
         if key.kind or len(self.measures) != 2 or order is None:
             return key
@@ -160,8 +162,9 @@ class Statement:
     def units(self, lateral: float | None) -> list[float | None]:
         """Return the size of the unit of each number [µm].
 
-        A number without a unit of its own gets the unit of the next number that has one, or else the unit in the key,
-        or else ``lateral``, the unit of all positions along x and y. None if there is no such unit.
+        A number without a unit of its own gets the unit of the next number that has one, or else the unit in the key
+        (text before the numbers), or else ``lateral``, the unit of all positions along x and y. None if there is no
+        such unit.
         """
         of_key = self._unit_of_key()[0]
         result: list[float | None] = []
@@ -226,7 +229,12 @@ def _states_key(text: str, measure: Measure) -> bool:
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Split the text between two numbers into text that belongs to the first, and the key of the second number."""
+    """Split the text between two numbers into text that belongs to the first, and the key of the second number.
+
+    The numbers are those of a header line. The key of a number is the text before it that names the quantity.
+
+    The key of a number is the text before it that names the quantity.
+    """
     match = re.search(r"^(.*?(?:[,;|\t)]|\s{2,}))([^,;|\t]*)$", text)
     return (match[1], match[2]) if match is not None and match[2].strip(" :=)") else ("", text)
 

@@ -382,7 +382,7 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
             continue
         if most_width == math.inf:
             return axis
-        # A straight line fitted through all values gives a more precise step than the first and the last group of
+        # A straight line fitted through all coordinates gives a more precise step than the first and the last group of
         # values.
         numbers = np.rint((values - axis[0][0]) / axis[1])
         step, low = (float(number) for number in np.polyfit(numbers, values, 1))
@@ -398,7 +398,8 @@ def _axis_through(centres: NDArray[np.float64]) -> tuple[NDArray[np.float64], fl
         count = round((high - low) / typical)
         if not 1 <= count <= 4 * len(centres):
             continue
-        # The mean of all steps is more precise than a single step, because positions of points are rounded.
+        # The mean distance of neighbouring coordinates is more precise than a single distance, because positions of
+        # points are rounded.
         step = (high - low) / count
         if np.all(np.abs((centres - low) / step - np.round((centres - low) / step)) <= _MOST_ROUNDING):
             return low + step * np.arange(count + 1, dtype=np.float64), step

@@ -73,7 +73,7 @@ def _add_unit_xy(facts: Facts, line: str, text: str) -> None:
 
 
 def _add_stated_unit(facts: Facts, line: str, words: str, text: str, signs: Signs) -> None:
-    """Add the unit of the heights from the value of a line whose key states it."""
+    """Add the unit of the heights from a header line "key: value" whose key says that the value is this unit."""
     value = _VALUE.fullmatch(text)
     if value is not None or length_units.factor_of(text) is not None:
         name, number = (value["unit"], value["number"]) if value is not None else (text, None)
@@ -100,7 +100,7 @@ def _add_heights_in(facts: Facts, line: str, signs: Signs) -> bool:
 
 
 def _add_unit_z(facts: Facts, line: str, text: str, number: str | None, signs: Signs) -> None:
-    """Add to ``facts`` a unit of the heights, or a multiple of a unit such as "0.5 nm"."""
+    """Add to ``facts`` a unit of the heights, or a multiple such as "0.5 nm", that a header line states."""
     unit, factor = length_units.factor_of(text), 1.0 if number is None else text_statements.value_of(number, signs)
     if unit is None:
         facts.not_length = facts.not_length or text

@@ -85,7 +85,7 @@ def read_x3p(file: Path) -> FileContent:
 
 
 def _damaged(file: Path, reason: str) -> Exception:
-    """Return the error for a file that does not follow the format, with the reason."""
+    """Return the error for a file that does not follow the ``.x3p`` format, with the reason."""
     return refusal(file, f"cannot be read as .x3p ({reason}); export it again")
 
 

@@ -120,7 +120,7 @@ class _Layout:
         self.letters = "".join(chr(_FIRST_LETTER + code) for code in codes)
 
     def refuse(self, reason: str) -> NoReturn:
-        """Raise the error for a damaged file."""
+        """Raise the error for a damaged GDS file."""
         raise ArgumentValueError(f"{ref('path')}: {self.name!r} is not a GDS file: {reason}; export it again")
 
     def match(self, expression: re.Pattern[str], begin: int) -> int:

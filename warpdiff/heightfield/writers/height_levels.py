@@ -20,7 +20,7 @@ MOST_LEVELS = 256
 
 
 class Levels(NamedTuple):
-    """Heights of the levels [µm], in increasing order, shape (k,), and the index of each sample's level, (ny, nx)."""
+    """Heights of all height levels [µm], increasing, shape (k,), and the index of each sample's level, (ny, nx)."""
 
     heights_um: Array
     indices: Indices

@@ -234,8 +234,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
     is_odd = (np.diff(np.append(starts, len(rows))) % 2 == 1).tolist()
     begins = np.flatnonzero(np.append(True, np.diff(rows[starts]) != 0)).tolist()
     values = places[starts].tolist()
-    # The line is periodic: its end is also its beginning, the coordinate 0. `base` is 1 if a feature reaches the end of
-    # the line, otherwise 0.
+    # The line that is swept over the layout is periodic: its end is also its beginning, the coordinate 0. `base` is 1
+    # if a feature reaches the end of the line, otherwise 0.
     base = 0
     line: list[int] = []
     least: list[int | None] = [None, None]
@@ -244,7 +244,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
         touched, odd = values[begin:end], is_odd[begin:end]
         reverses = touched[-1] == period and odd[-1]
         if touched[-1] == period:
-            # Changes at the end of the periodic line count as changes at its beginning, the coordinate 0.
+            # Changes at the end of the swept line, which is periodic, count as changes at its beginning, the coordinate
+            # 0.
             both = touched[0] == 0
             is_reversed = odd[-1] != (both and odd[0])
             touched, odd = [0, *touched[int(both) : -1]], [is_reversed, *odd[int(both) : -1]]
@@ -261,7 +262,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
             continue
         for place in touched:
             k = bisect_left(line, place)
-            # Two intervals are measured: the one that ends at the point or contains it, and the one that begins there.
+            # Two intervals of the swept line are measured: the one that ends at the point or contains it, and the one
+            # that begins there.
             for start in (k - 1, k) if k < count and line[k] == place else (k - 1,):
                 after = start + 1
                 low = line[start] if start >= 0 else line[-1] - period

@@ -95,7 +95,7 @@ class Container:
             file = (self._folder / urllib.parse.unquote(uri)).resolve()
             size = file.stat().st_size if file.is_relative_to(self._folder) else 0
         except ValueError as error:
-            # A name with a NUL character raises a ValueError in ``pathlib``.
+            # A file name with a NUL character raises a ValueError in ``pathlib``.
             raise UnreadableUriError(str(error)) from None
         if not file.is_relative_to(self._folder):
             raise UnreadableUriError("it lies outside the mesh's folder")

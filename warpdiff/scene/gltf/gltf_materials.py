@@ -166,7 +166,7 @@ class Materials:
             except (UnreadableUriError, OSError) as error:
                 self.ignored[label] = str(error)
             if result is not None:
-                # The name is stored in the image for warnings about pixels that cannot be decoded later.
+                # The file name is stored in the image for warnings about pixels that cannot be decoded later.
                 result.info["file_path"] = uri if is_file else f"an image in {self._container.name}"
             self._opened[index] = result
         return self._opened[index]
@@ -187,8 +187,8 @@ def _uv_transform(reference: Element) -> NDArray[np.float64]:
     (u0, v0), (su, sv) = transform.numbers("offset", (0.0, 0.0)), transform.numbers("scale", (1.0, 1.0))
     angle = transform.number("rotation", 0.0)
     cosine, sine = math.cos(angle), math.sin(angle)
-    # The glTF extension defines this matrix for texture coordinates with v downwards. Here v points upwards, so that v
-    # is replaced by 1 − v on both sides.
+    # The glTF extension defines the matrix of a texture transform for texture coordinates with v downwards. Here v
+    # points upwards, so that v is replaced by 1 − v on both sides.
     a, b, d, e = cosine * su, sine * sv, -sine * su, cosine * sv
     return np.array([[a, -b, b + u0], [-d, e, 1.0 - e - v0]])
 

@@ -195,7 +195,7 @@ def _with_alpha(colours: NDArray[np.float64] | None) -> NDArray[np.float64] | No
 
 
 def _tangents_of_base(part: ScenePart, normal_uv_set: int) -> NDArray[np.float64] | None:
-    """Return the tangents of a part along u of its base-colour texture, shape (n, 4); None if they are not known.
+    """Return the tangents of a scene part along u of its base-colour texture, shape (n, 4); None if they are not known.
 
     Tangents in a file are along u of the normal map. If the base colour uses the same set of texture coordinates, the
     tangents are rotated by the transform of the base-colour texture. Otherwise their relation to its u is not known.

@@ -80,7 +80,7 @@ def _below(index: int, children: list[list[int]]) -> set[int]:
 def _local(node: Element) -> NDArray[np.float64]:
     """Return the matrix from a node's coordinates to those of its parent, shape (4, 4)."""
     if "matrix" in node:
-        # The format lists the elements of a matrix column by column.
+        # glTF lists the elements of a matrix column by column.
         return np.array(node.numbers("matrix", np.eye(4).ravel().tolist())).reshape(4, 4).T
     return _composed(
         node.numbers("translation", (0.0, 0.0, 0.0)), node.numbers("rotation", (0.0, 0.0, 0.0, 1.0)),
