@@ -166,6 +166,7 @@ def tables():
     directions = (0.0, 0.0, 1.0), (0.1, 0.0, 1.0)
     wd.order_efficiencies(grating, directions[0], [500.0]).save("measured/orders.csv")
     wd.reflectance_spectra(grating, *directions, [500.0, 600.0], coherence=COHERENCE).save("measured/spectra.csv")
+    wd.GratingMap(grating, turn_deg=[[0.0, 30.0], [60.0, 90.0]], depth_scale=0.5).save("dots/dots.csv")
     wd.plan(grating, *directions, coherence=COHERENCE).save("plan/plan.json")
     wd.bake(wd.gratings.sinusoidal(1.0, 0.02), coherence=COHERENCE, delta_e=10.0).save("lobes/lobes.npz")
     wd.bake_spectrum(grating, coherence=COHERENCE, size=16, tolerance=0.1).save("spectra/spectrum.npz")

@@ -138,6 +138,9 @@ def _message(path: Path) -> None:
     _RUNNER.run(take())
 
 
+# Height field of the dots of grating maps that are read from files.
+_CELL = wd.gratings.sinusoidal(1.0, 0.1)
+
 TARGETS = (
     Target("gltf", _mesh, ("warpdiff.shade",)),
     Target("mesh", _mesh, ("warpdiff.shade",)),
@@ -149,6 +152,7 @@ TARGETS = (
     Target("index", wd.Material.from_file, ("Material.from_file",)),
     Target("spectrum", wd.Spectrum.from_csv, ("Spectrum.from_csv",)),
     Target("measured", wd.Measured.from_csv, ("Measured.from_csv",)),
+    Target("dots", lambda path: wd.GratingMap.load(path, _CELL), ("GratingMap.load",)),
     Target("curve", read_curve, ("report",)),
     Target("camera", _camera, ("camera_path",)),
     Target("plan", wd.Plan.load, ("Plan.load",)),

@@ -58,7 +58,9 @@ KERNELS = {
     "plain_textures": {"sample_plain_textures"},
     "plain_samples": {"sample_plain_sky", "draw_plain_disc", "choose_plain_lights"},
     "disc_samples": {"draw_disc"},
-    "dot_transforms": {"find_dots", "mark_edges_of_dots", "scale_gains", "signals_of_dots", "transform_samples"},
+    "dot_transforms": {
+        "find_dots", "mark_edges_of_dots", "scale_gains", "signals_of_dots", "transform_samples", "weigh_gains",
+    },
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
     "pixel_contrast": {"estimate_errors"},

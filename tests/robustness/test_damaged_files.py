@@ -33,8 +33,8 @@ GROUPS = {
     "damaged glTF, under 4 GB": ("gltf",),
     "damaged layouts, under 4 GB": ("gds",),
     "damaged tables, pictures and messages": (
-        "index", "spectrum", "measured", "curve", "camera", "plan", "lobes", "spectra", "picture", "environment",
-        "message",
+        "index", "spectrum", "measured", "dots", "curve", "camera", "plan", "lobes", "spectra", "picture",
+        "environment", "message",
     ),
 }  # fmt: skip
 

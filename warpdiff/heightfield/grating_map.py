@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import csv_columns, forks, memory, validation
+from warpdiff.core import csv_columns, files, forks, memory, validation
 from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.table import Table, save_table
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
@@ -237,28 +237,29 @@ class GratingMap(ReadOnlyArrays):
             >>> wd.GratingMap.load(path, cell)
             GratingMap(1 × 2 dots (rows × columns), turn 0° to 30°, depth scale 1, pitch scale 1)
         """
-        names = ("turn_deg", "depth_scale", "pitch_scale")
-        columns = csv_columns.read(validation.path(path, "path"), (*_PLACES, *names))
-        given = [name for name in names if name in columns]
-        if not given or any(name not in columns for name in _PLACES):
-            raise ArgumentValueError(
-                f"{ref('path')}: {str(path)!r} must have the columns row, column and at least one of "
-                f"{', '.join(names)}, got {', '.join(columns) or 'none of them'}"
-            )
-        places = np.stack([columns[name] for name in _PLACES])
-        sides = places.max(axis=1) + 1.0
-        # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no two
-        # lines have the same row and column.
-        is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
-        if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
-            raise ArgumentValueError(
-                f"{ref('path')}: {str(path)!r} must have one line for each dot, with rows and columns from 0, got "
-                f"{places.shape[1]} lines for {sides[0]:g} × {sides[1]:g} dots: add the missing dots, and remove those "
-                "that occur twice"
-            )
-        order = np.lexsort(places[::-1])
-        shape = tuple(sides.astype(int))
-        return cls(cell, **{name: columns[name][order].reshape(shape) for name in given})
+        validation.instance(cell, HeightField, "cell")
+        file, names = validation.path(path, "path"), ("turn_deg", "depth_scale", "pitch_scale")
+        with files.describing(file):
+            columns = csv_columns.read(file, (*_PLACES, *names))
+            given = [name for name in names if name in columns]
+            if not given or any(name not in columns for name in _PLACES):
+                raise ArgumentValueError(
+                    f"{ref('path')} must have the columns row, column and at least one of {', '.join(names)}, got "
+                    f"{', '.join(columns) or 'none of them'}"
+                )
+            places = np.stack([columns[name] for name in _PLACES])
+            sides = places.max(axis=1) + 1.0
+            # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no two
+            # lines have the same row and column.
+            is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
+            if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
+                raise ArgumentValueError(
+                    f"{ref('path')} must have one line for each dot, with rows and columns from 0, got "
+                    f"{places.shape[1]} lines for {sides[0]:g} × {sides[1]:g} dots: add the missing dots, and remove "
+                    "those that occur twice"
+                )
+            order, shape = np.lexsort(places[::-1]), tuple(sides.astype(int))
+            return cls(cell, **{name: columns[name][order].reshape(shape) for name in given})
 
     @property
     def _pitch_range(self) -> tuple[float, float]:
