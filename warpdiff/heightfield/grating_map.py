@@ -249,8 +249,8 @@ class GratingMap(ReadOnlyArrays):
                 )
             places = np.stack([columns[name] for name in _PLACES])
             sides = places.max(axis=1) + 1.0
-            # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no two
-            # lines have the same row and column.
+            # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no
+            # two lines have the same row and column.
             is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
             if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
                 raise ArgumentValueError(
