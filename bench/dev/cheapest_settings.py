@@ -283,8 +283,8 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
     """Return variants of a plan that sum over different numbers of neighbouring Fourier coefficients.
 
-    The first variant has the smallest number with which the plan meets the tolerance. For replicated patches,
-    ``subdivisions`` varies instead.
+    The first variant has the smallest number with which the plan meets the tolerance. If a finite number of periods of
+    the patch interferes, the number of wavelengths between two interpolated powers (``subdivisions``) varies instead.
     """
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)

@@ -321,7 +321,7 @@ def test_series_with_more_terms_than_kernels_support_use_no_grid(points):
 
 
 def test_derivatives_by_the_index_of_refraction(square):
-    """At oblique angles, the derivative with respect to the index of refraction must be that of the reflectance."""
+    """Derivatives of pixels by the index of refraction must equal those of ``wd.adjoint.reflectance`` there."""
     view, light = wd.View((0.0, -3.0, 1.0), (0.0, 0.0, 0.0), width=8, height=6), wd.DirectionalLight((0.3, 3.0, 1.0))
     results = [
         wd.adjoint.pixels(renderer_of(square, view, light, ior=ior, tolerance=0.1), FIELD, light, wrt=("ior",))

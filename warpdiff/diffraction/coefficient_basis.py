@@ -229,7 +229,11 @@ def _radians_per_kappa(heightfield: HeightField) -> float:
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """Return the step of |κ| = |w|/λ in a table of basis functions, the number of steps, and the largest |κ|."""
+    """Return the step of |κ| in a table of basis functions, the number of steps, and the largest |κ|.
+
+    κ is w/λ, where w is the component of the scattering vector along the normal. Fourier coefficients of the height
+    field at any |κ| are weighted sums of the basis functions.
+    """
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2

@@ -80,8 +80,8 @@ class PassContext:
         ]
         self.plain = self._plain_faces(finish_of_faces)
         if finish_of_faces is not None and self.plain is not None and self.plain.has_glossy_faces:
-            # All glossy faces together form an additional surface and finish, without a pigment and without a height
-            # field.
+            # All glossy faces of plain surfaces get one more finish, a pair of surface and material. Its surface has
+            # neither a pigment nor a height field.
             plain = next(optics for optics in surfaces if optics.is_plain)
             self.surfaces += (replace(plain, pigment=0.0),)
             self.finishes.append(Finish(len(surfaces), None))

@@ -68,19 +68,21 @@ _LEAST_SHARE = 0.3
 
 @dataclass(frozen=True)
 class SpectrumBasis:
-    """Basis functions of |κ| = |w|/λ in which the rows of a power spectrum are expanded.
+    """Basis functions of |κ| = |w|/λ, in which a power spectrum is expanded at each of its points.
 
-    A row has the weights of the basis functions (terms) for one point of the spectrum.
+    The component of the scattering vector along the normal is w. A row of numbers has the weights of the basis
+    functions (terms) at one point of the spectrum.
 
     Attributes:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
         kappas: Smallest and largest |κ| [1/µm].
         sizes: Typical magnitude of the weight of each basis function in the rows, relative to the other weights, shape
             (terms,).
-        share: Permitted error by the limited number of functions of w in a colour table, as a share of the tolerance.
-        holds_lines: Whether rows are powers |H|² per unit area of frequency, as for the coherence of a light source of
-            finite size, where diffraction orders are spectral lines. Colours require powers per unit area of (u, v).
-            The weights of the colour curves therefore include the factor λ⁻², which converts the first to the second.
+        share: Permitted error of a colour table that expands colours in few functions of w, as a share of the
+            tolerance.
+        holds_lines: Whether rows are powers |H|² per unit area of spatial frequency, as under a light source of finite
+            size. Colours require powers per unit area of (u, v). The weights of the colour curves then include the
+            factor λ⁻², which converts the first to the second.
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
