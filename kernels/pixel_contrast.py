@@ -44,8 +44,8 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
     below = signal_difference(scattering_vectors, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
-    # Unevenness is the second difference of (u, v) along rows, columns and diagonals, relative to the larger of the two
-    # first differences of (u, v).
+    # Unevenness is the second difference of (u, v) from pixel to pixel, along rows, columns and diagonals. It is
+    # relative to the larger of the two first differences. (u, v) is the tangential part of the scattering vector.
     aslant2 = wp.max(
         wp.max(
             wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),

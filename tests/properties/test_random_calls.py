@@ -44,7 +44,7 @@ def height_fields(draw):
 
 @st.composite
 def vectors(draw, count):
-    """Return random vectors of any length: unit vectors, axes, and vectors slightly above and below the horizon."""
+    """Return random vectors, most of them above the horizon. Lengths differ, and components may be 0, tiny or huge."""
     component = st.one_of(
         st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-300, -1e-300, 1e-30, 1e-8, -1e-8, 1e-6, 1e30, 1e300]),
         st.floats(-1.0, 1.0),

@@ -128,7 +128,7 @@ def test_a_formula_of_a_constant_has_an_index_at_all_wavelengths(tmp_path):
 
 
 def _faulty(fault):
-    """Return a faulty reader. It refuses all files, and calls ``fault`` for files without the word "Wavelength"."""
+    """Return a reader that refuses all files, after a call of ``fault`` if a file has no word "Wavelength"."""
 
     def read(path):
         text = path.read_bytes()

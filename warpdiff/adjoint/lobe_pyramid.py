@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 # by up to 1/6 from the mean variance. Errors of single coefficients cancel in the sum.
 _LEAST_DEVIATION = 2.0
 # Highest level of the pyramid, in which a node of level n is the sum of 2ⁿ × 2ⁿ orders. A lobe (Gaussian weight) at
-# this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it covers all orders of a large block.
+# this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it covers a block of thousands of orders along
+# each axis.
 _MOST_LEVEL = 10
 
 

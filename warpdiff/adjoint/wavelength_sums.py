@@ -125,7 +125,10 @@ class WavelengthSums:
         return result
 
     def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
-        """Yield groups of pairs (direction, wavelength) with the adjoints of their weighted sums, from those of XYZ."""
+        """Yield groups of pairs (direction, wavelength) with the adjoint of the power of each pair.
+
+        ``adjoints`` are those of the XYZ of each direction, which is a sum of these powers over wavelengths.
+        """
         for index, part, pairs, factors, weights in self.parts():
             yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 

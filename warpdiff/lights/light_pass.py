@@ -352,8 +352,8 @@ class LightPass(ABC):
     def cell_lobes(self, level: int) -> range:
         """Return the light's lobes, or indices of random directions, that are evaluated for subpixel cells of a level.
 
-        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
-        directions.
+        Some lights are sampled in random directions. In a refined picture, each cell then draws one direction. In a
+        picture without refinement, the cells of a pixel share its directions.
         """
         if not self.is_sampled:
             return range(self.lobe_count)

@@ -134,8 +134,8 @@ class PixelSampler:
         is_first_lobe = index.lobe == light_pass.first_lobes.start
         is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
-        # If pixels show means, each light begins with a sum of colours of 0. Hits are counted only under the first
-        # light, because they are the same under all lights.
+        # If pixels show means over their filter, the colours of each light are added in a sum of its own, which begins
+        # at 0. Hits are counted only under the first light, because they are the same under all lights.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),
