@@ -164,9 +164,9 @@ def test_maps_are_saved_as_tables_of_dots_and_loaded(tmp_path: Path) -> None:
         ("turn_deg\n30\n", "must have the columns row, column"),
         ("row,column,turn_deg\n0,0,1\n1,1,2\n", "got 2 lines for 2 × 2 dots: add the missing"),
         ("row,column,turn_deg\n0,0,1\n0,1,2\n0,1,3\n1,1,4\n", "got 4 lines for 2 × 2 dots"),
-        ("row,column,turn_deg\n0.5,0,1\n", "rows and columns from 0"),
-        ("row,column,turn_deg\n-1,0,1\n0,0,1\n", "rows and columns from 0"),
-        ("row,column,turn_deg\n1e15,0,1\n", "one line for each dot"),
+        ("row,column,turn_deg\n0.5,0,1\n", "whole numbers from 0 as row and column"),
+        ("row,column,turn_deg\n-1,0,1\n0,0,1\n", "whole numbers from 0 as row and column"),
+        ("row,column,turn_deg\n1e308,0,1\n", "below the number of lines, 1"),
         ("row,column,pitch_scale\n0,0,-1\n", "pitch_scale must be"),
     ],
 )

@@ -20,6 +20,7 @@ from warpdiff.render import device_tiles
 from warpdiff.render.picture_inputs import PictureInputs
 from warpdiff.request.settings import PictureSettings
 from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.tables.pitch_ladder import PitchLadder
 
 SINE = wd.gratings.sinusoidal(1.2, 0.15, samples=32)
 FINGERS = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
@@ -66,29 +67,32 @@ def test_a_map_equals_one_part_per_dot(cell: wd.HeightField, coherence: wd.Coher
 
 
 @pytest.mark.parametrize("cell", [SINE, FINGERS], ids=["1-D", "2-D"])
-@pytest.mark.parametrize("shape", [(3, 4), (1, 2)], ids=["interpolated", "two pitches"])
-@pytest.mark.parametrize("integration", ["auto", "sampled"])
+@pytest.mark.parametrize(
+    ("shape", "options"),
+    [
+        ((3, 4), {"integration": "sampled", "tolerance": 1e-2}),
+        ((3, 4), {"integration": "table", "tolerance": 0.1}),
+        ((1, 2), {"integration": "table", "tolerance": 0.1}),
+    ],
+    ids=["sampled", "tables", "two pitches"],
+)
 def test_pitches_differ_under_an_averaged_window(
-    cell: wd.HeightField, shape: tuple[int, int], integration: str
+    cell: wd.HeightField, shape: tuple[int, int], options: dict[str, Any]
 ) -> None:
-    """Colours of a map that are interpolated between coherence windows must equal those of one mesh part per dot.
-
-    A grating map divides a surface into small rectangles (dots), each with a turned and scaled copy of one grating.
-    """
+    """Colours that are interpolated between windows of different widths must equal those of one part per dot."""
     coherence = wd.Coherence(sigma_um=4.0)
     grating_map = _map(cell, shape, seed=4)
-    options: dict[str, Any] = {
-        "coherence": coherence, "tolerance": 1e-2, "footprint": False, "integration": integration, "strict": False,
-        "ior": np.inf,
-    }  # fmt: skip
+    ladder = PitchLadder.of(grating_map.pitch_scale, coherence, options["tolerance"])
+    assert len(ladder.octaves) == (2 if shape == (1, 2) else {1e-2: 11, 0.1: 7}[options["tolerance"]])
+    options = {"coherence": coherence, "footprint": False, "strict": False, "ior": np.inf} | options
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     scene, surfaces, tangents = parts_of(grating_map, coherence)
     parts = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # If all dots (rectangles of a grating map with one grating each) had the coherence window of the largest dot, the
-    # median error would be above 0.1.
-    assert np.percentile(error_of(image, parts.xyz), 99.0) < 1e-2
+    # With the coherence window of the largest dot for all dots, the median error would be above 0.1.
+    assert np.percentile(error_of(image, parts.xyz), 99.0) < options["tolerance"]
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == coherence
+    assert bool(image.plan.rings_per_octave) == (options["integration"] == "table")
 
 
 @pytest.mark.parametrize("pitch", [False, True])
@@ -99,7 +103,8 @@ def test_footprints_are_turned_and_scaled(pitch: bool) -> None:
     pixel covers.
     """
     coherence = wd.Coherence(sigma_um=5.0)
-    grating_map = _map(FINGERS, (2, 3), pitch=pitch)
+    # Of twelve pitch scales, colours are interpolated between nine tables.
+    grating_map = _map(FINGERS, (3, 4), pitch=pitch)
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 0.05, "refine": False, "ior": np.inf}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     assert isinstance(image.plan, wd.Plan)

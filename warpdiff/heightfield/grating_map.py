@@ -248,17 +248,22 @@ class GratingMap(ReadOnlyArrays):
                     f"{', '.join(columns) or 'none of them'}"
                 )
             places = np.stack([columns[name] for name in _PLACES])
-            sides = places.max(axis=1) + 1.0
-            # Each dot (small rectangle) of the map occurs once in the file if there are as many lines as dots, and no
-            # two lines have the same row and column.
-            is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
-            if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
+            count = places.shape[1]
+            if not ((places >= 0.0) & (places < count) & (places % 1.0 == 0.0)).all():
                 raise ArgumentValueError(
-                    f"{ref('path')} must have one line for each dot, with rows and columns from 0, got "
-                    f"{places.shape[1]} lines for {sides[0]:g} × {sides[1]:g} dots: add the missing dots, and remove "
-                    "those that occur twice"
+                    f"{ref('path')} must have whole numbers from 0 as row and column, below the number of lines, "
+                    f"{count}: number the dots from 0, and add the missing ones"
                 )
-            order, shape = np.lexsort(places[::-1]), tuple(sides.astype(int))
+            rows, dots_of_row = (int(side) + 1 for side in places.max(axis=1))
+            # The order of the dots (small rectangles) in the file has no effect.
+            index = places[0] * dots_of_row + places[1]
+            order = np.argsort(index)
+            if rows * dots_of_row != count or not np.array_equal(index[order], np.arange(count)):
+                raise ArgumentValueError(
+                    f"{ref('path')} must have one line for each dot, got {count} lines for {rows} × {dots_of_row} "
+                    "dots: add the missing dots, and remove those that occur twice"
+                )
+            shape = rows, dots_of_row
             return cls(cell, **{name: columns[name][order].reshape(shape) for name in given})
 
     @property

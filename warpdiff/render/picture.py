@@ -263,7 +263,7 @@ class Picture:
             xyz_by_part: List that gets the colours under each part of the lights, shape (height, width, 3). None gets
                 no colours. The list requires that there are no previews.
         """
-        if lookups.needs_sampling and not len(self._unserved_gain):
+        if lookups.overwrites_gains and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
         if not self._means:
             batch = self.sampler.batch(self._sums, self._unserved_gain)

@@ -113,7 +113,7 @@ class LightRefinement:
         """Flags that say which optional arrays of tile buffers (arrays of subpixel cells) this light requires."""
         context = self.light_pass.context
         return BufferKind(
-            self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions,
+            self.lookups.overwrites_gains, context.is_pigmented, context.has_finishes, self.light_pass.has_directions,
             context.has_maps, context.dots is not None,
         )  # fmt: skip
 

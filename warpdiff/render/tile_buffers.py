@@ -36,7 +36,7 @@ class BufferKind(NamedTuple):
     samples in the frames of the dots (small rectangles) of grating maps.
     """
 
-    needs_sampling: bool
+    overwrites_gains: bool
     is_pigmented: bool
     has_finishes: bool
     has_directions: bool
@@ -81,7 +81,7 @@ class TileBuffers:
                 device=device,
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
-            wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),
+            wp.empty(rays * kind.overwrites_gains, dtype=wp.float32, device=device),
             tiles,
         )
 

@@ -118,8 +118,8 @@ def solve(
     except np.linalg.LinAlgError:
         raise ArgumentValueError(
             f"{ref('wavelengths_nm')} has a wavelength of {NM_PER_UM * wavelength_um:.6g} nm, at which the equations "
-            "of the solver are singular, because an order is exactly at the horizon: change the wavelength or the "
-            "direction to the light slightly"
+            "of the solver are singular, probably because an order is exactly at the horizon: change the wavelength or "
+            "the direction to the light slightly"
         ) from None
     return Solution(np.ravel(result.de_ri).real, np.ravel(result.de_ti).real)
 

@@ -46,9 +46,9 @@ class Lookups(tuple["ColourLookup | None", ...]):
         return any(lookup is not None and lookup.plan.uses_footprints for lookup in self)
 
     @property
-    def needs_sampling(self) -> bool:
-        """Whether the colour table of any surface excludes directions, which require sampled wavelengths."""
-        return any(lookup is not None and lookup.needs_sampling for lookup in self)
+    def overwrites_gains(self) -> bool:
+        """Whether the look-up of any surface overwrites an array of geometry factors, see `kernel_calls`."""
+        return any(lookup is not None and lookup.overwrites_gains for lookup in self)
 
     @property
     def slice_size(self) -> int:
@@ -128,6 +128,11 @@ class ColourLookup:
     def needs_sampling(self) -> bool:
         """Whether the table excludes some directions, whose colours are then integrated over sampled wavelengths."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
+
+    @property
+    def overwrites_gains(self) -> bool:
+        """Whether `kernel_calls` overwrites its array ``unserved_gain``."""
+        return self.needs_sampling
 
     def kernel_calls(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,

@@ -69,8 +69,9 @@ class PitchLadder:
         steps = np.arange(-1, math.ceil(places[-1] * per_octave - _ROUNDING) + 2)
         octaves, least_gap = steps / per_octave, float(np.diff(places).min())
         if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
-            # The weight of a table in the interpolation is 0 at a distance of two steps.
-            octaves, per_octave = places, 2.0 / least_gap
+            # The weight of a table is 0 at a distance of two steps or more. Neighbours are three steps apart, so that
+            # rounding gives them no weight.
+            octaves, per_octave = places, 3.0 / least_gap
         # Tables are made for the height field of the dots at the largest pitch scale, under the window of the picture.
         widths = float(coherence.sigma_um or 0.0) * 2.0 ** (places[-1] - octaves)
         windows = tuple(replace(coherence, sigma_um=float(width)) for width in widths)
@@ -90,11 +91,16 @@ class LadderLookup(ColourLookup):
         window of all tables, which suffices for the others.
         """
         super().__init__(heightfield, plan, direction_range, device=device, threads=threads)
-        self._ladder = ladder
+        self._ladder, self._no_gains = ladder, wp.empty(0, dtype=wp.float32, device=device)
         self._lookups = [
             ColourLookup(heightfield, replace(plan, coherence=window), direction_range, device=device, threads=threads)
             for window in ladder.coherences
         ]
+
+    @property
+    def overwrites_gains(self) -> bool:
+        """Whether `kernel_calls` overwrites its array ``unserved_gain``: the weighed gains are written there."""
+        return True
 
     def copy_with(self, plan: Plan) -> LadderLookup:
         """Return a look-up for the same range of directions by another plan (numbers of a computation)."""
@@ -111,13 +117,16 @@ class LadderLookup(ColourLookup):
         The length of a direction in ``to_lights`` is the pitch scale relative to the smallest one of the map.
         """
         # The geometry factors (gains) for all tables are written into the same array, because the calls of a slice run
-        # one after the other.
-        weighed = wp.empty(len(gains), dtype=wp.float32, device=self.device)
+        # one after the other. Tables of averaged windows exclude no directions, so that the array for the gains of such
+        # directions is free.
+        weighed = unserved_gain
+        if weighed is None or not len(weighed):
+            weighed = wp.empty(len(gains), dtype=wp.float32, device=self.device)
         calls = []
         for octaves, lookup in zip(self._ladder.octaves, self._lookups, strict=True):
             inputs = [to_lights, gains, octaves, self._ladder.per_octave]
             calls.append(KernelCall(dot_transforms.weigh_gains, inputs, [weighed], in_runs=True))
             calls += lookup.kernel_calls(
-                scattering_vectors, to_lights, weighed, illuminated, xyz, footprints, unserved_gain
+                scattering_vectors, to_lights, weighed, illuminated, xyz, footprints, self._no_gains
             )
         return calls

@@ -103,8 +103,8 @@ def report(
             mirror direction if the file states none.
         wavelengths_nm: Wavelengths for which orders and verdicts are computed [nm], shape (m,) or one number.
         sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six. None is 5,
-            16.25 and 50 µm, but for a scan at most a quarter of its shorter side. The reflectance map has the middle
-            one of these windows, unless ``coherence`` or ``plan`` states another one.
+            16.25 and 50 µm, but for a scan at most a quarter of its shorter side. Reflectance map and comparison have
+            the middle one of these windows, unless ``coherence`` or ``plan`` states another one.
         compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed curve. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
             name. View angles are from the normal in the plane of the light. They are positive towards +x, or towards +y
