@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 # Number of colour tables per factor of two of the window width σ, for a tolerance of 0.1. The error of cubic
 # interpolation is proportional to the fourth power of the step, so that the number for other tolerances follows from
-# this one. Measured by ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance; if
-# doubled, so do the tables.
+# this one. Measured by ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance. If
+# doubled, maps have twice as many tables.
 _TABLES_PER_OCTAVE = 6.0
 # Least distance between the binary logarithms of two pitch scales that get colour tables of their own. Smaller
 # distances would be lost among the rounding errors of the logarithm in float32.
