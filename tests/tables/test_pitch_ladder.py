@@ -56,6 +56,6 @@ def test_windows_reach_one_step_beyond_the_pitches():
     """Cubic interpolation requires two tables on each side of every pitch scale."""
     scales = np.linspace(0.5, 2.0, 101)
     ladder = PitchLadder.of(scales, WINDOW, 0.1)
-    assert ladder.octaves == pytest.approx(np.arange(-1, 14) / 6.0)
+    assert ladder.octaves == pytest.approx(np.arange(-1, 18) / 8.0)
     sigmas = [coherence.sigma_um for coherence in ladder.coherences]
     assert sigmas == pytest.approx(5.0 * 2.0 ** (2.0 - np.array(ladder.octaves)))

@@ -14,7 +14,7 @@ from warpdiff.core.text_encodings import decoded
 from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -64,13 +64,15 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
         raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file, because it contains NUL characters")
     names = tuple(known)
     try:
-        tables = {separator: _lines(text, separator) for separator in _SEPARATORS}
+        headings = {mark: next(_lines(text, mark), None) for mark in _SEPARATORS}
+        if headings[","] is None:
+            raise ArgumentValueError(
+                f"{ref('path')}: {str(path)!r} is empty: it must have a line that names the columns"
+            )
+        separator = max(headings, key=lambda mark: len(_columns((headings[mark] or (0, []))[1], names)))
+        (_, heading), *lines = _lines(text, separator)
     except csv.Error as error:
         raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file: {error}") from None
-    if not tables[","]:
-        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is empty: it must have a line that names the columns")
-    separator = max(tables, key=lambda mark: len(_columns(tables[mark][0][1], names)))
-    (_, heading), *lines = tables[separator]
     columns = _columns(heading, names)
     distinct = [column.name for column in columns]
     for name in distinct:
@@ -89,11 +91,13 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
     return {column.name: np.array([row[k] for row in rows]) for k, column in enumerate(columns)}
 
 
-def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
-    """Return line number and cells of each line, without empty lines, comments, and the line ``sep=;`` of Excel."""
+def _lines(text: str, separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number and the cells of each line, without empty lines, comments, and the line ``sep=;`` of Excel."""
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
-    rows = ((reader.line_num, [cell.strip() for cell in row]) for row in reader)
-    return [(line, row) for line, row in rows if any(row) and not row[0].lower().startswith(("#", "sep="))]
+    for cells in reader:
+        row = [cell.strip() for cell in cells]
+        if any(row) and not row[0].lower().startswith(("#", "sep=")):
+            yield reader.line_num, row
 
 
 def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:

@@ -389,6 +389,9 @@ class Picture:
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)
+        if self.context.dots is not None:
+            # Colours of dots are interpolated between tables with weights that may be negative.
+            xyz = np.maximum(xyz, 0.0)
 
         def part(values: wp.array | NDArray[Any]) -> NDArray[Any] | None:
             return self._cropped(values)[illuminated] if len(values) else None

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 # interpolation is proportional to the fourth power of the step, so that the number for other tolerances follows from
 # this one. Measured by ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance. If
 # doubled, maps have twice as many tables.
-_TABLES_PER_OCTAVE = 6.0
+_TABLES_PER_OCTAVE = 8.0
 # Least distance between the binary logarithms of two pitch scales that get colour tables of their own. Smaller
 # distances would be lost among the rounding errors of the logarithm in float32.
-_LEAST_GAP = 0.01
+_LEAST_GAP = 1e-3
 # Rounding error of the logarithm of pitch scales [steps of the interpolation between tables]. Without it, a range of a
 # whole number of steps may get one table more.
 _ROUNDING = 1e-9

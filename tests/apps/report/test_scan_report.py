@@ -234,6 +234,9 @@ def test_windows_of_scans_end_at_their_edges(size_um, expected, rng, monkeypatch
     assert data.request.settings["coherence"] == wd.Coherence(sigma_um=data.request.sigmas_um[len(expected) // 2])
     cell = collect(request(wd.gratings.blazed(2.0, 0.2), sigmas_um=None), lambda _: None)
     assert cell.request.sigmas_um == (5.0, 16.25, 50.0)
+    # A profile has one row. Its windows are limited by its length alone.
+    profile = wd.HeightField(0.05 * np.sin(np.pi * 0.1 * np.arange(1000))[None, :], 0.1)
+    assert collect(request(profile, sigmas_um=None), lambda _: None).request.sigmas_um == (5.0, 16.25, 25.0)
 
 
 def test_warnings_are_collected_on_the_page(rng, monkeypatch):

@@ -206,10 +206,11 @@ class ReportData:
 def _set_windows(data: ReportData) -> tuple[float, ...]:
     """Choose the coherence windows of a report that its arguments leave open; return their σ [µm].
 
-    The windows of a scan reach at most to its edges. Wider windows would show the repetition of the scan. The
-    reflectance map and the comparison use the middle one of the windows.
+    Wider windows than a scan would show its repetition. Reflectance map and comparison use the middle window.
     """
-    request, most = data.request, math.inf if data.is_cell else min(data.patch_um) / _PATCH_IN_SIGMAS
+    # A profile, or a scan of few lines, is narrow along one axis. Its windows reach over the repeated lines.
+    sides = [side for side in data.patch_um if side >= 0.5 * max(data.patch_um)]
+    request, most = data.request, math.inf if data.is_cell else min(sides) / _PATCH_IN_SIGMAS
     sigmas_um = request.sigmas_um or tuple(sorted({min(sigma, most) for sigma in _SIGMAS_UM}))
     settings = request.settings
     if settings.get("coherence") is None and settings.get("plan") is None:

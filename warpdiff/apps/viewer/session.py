@@ -438,8 +438,10 @@ class Studio:
             return
         assert image is not None  # noqa: S101 (``pixel`` comes from the image)
         options = {name: value for name, value in scene.shading.items() if name in describe(EvaluationSettings)}
+        # The plan of a grating map is made for the depths and pitches of its dots, and not for the cell.
+        plan = None if scene.dots else image.plan
         disc = wd.reflectance_map(
-            self._objects.height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan,
+            self._objects.height_field(scene), local.to_light, size=MAP_SIZE, plan=plan,
             illuminant=light.illuminant, device=self._objects.device.alias, threads=self._objects.threads,
             progress=progress, **options,
         )  # fmt: skip
