@@ -83,7 +83,7 @@ def test_pitches_differ_under_an_averaged_window(
     coherence = wd.Coherence(sigma_um=4.0)
     grating_map = _map(cell, shape, seed=4)
     ladder = PitchLadder.of(grating_map.pitch_scale, coherence, options["tolerance"])
-    assert len(ladder.octaves) == (2 if shape == (1, 2) else {0.05: 11, 0.1: 9}[options["tolerance"]])
+    assert len(ladder.octaves) == (2 if shape == (1, 2) else {0.05: 10, 0.1: 9}[options["tolerance"]])
     options = {"coherence": coherence, "footprint": False, "strict": False, "ior": np.inf} | options
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     scene, surfaces, tangents = parts_of(grating_map, coherence)
