@@ -37,7 +37,10 @@ def call_functions(
 
 
 def computed(metallic, alpha, colour, *, lights, views, slopes, covariance=(0.0, 0.0, 0.0)):
-    """Return π times the BRDF for pairs of a light and a view direction, and the GGX density after a blur at slopes."""
+    """Return π times the BRDF for pairs of a light and a view direction, and the density of microfacets at slopes.
+
+    The density is that of the GGX distribution, blurred by a Gaussian with ``covariance``.
+    """
     base = np.array(colour)
     count = len(slopes)
     results = [wp.zeros(count, dtype=dtype, device="cpu") for dtype in (wp.vec3f, wp.float32)]

@@ -177,7 +177,10 @@ def test_designs_are_checked_rigorously():
 
 
 def test_singular_equations_of_the_solver_are_a_clear_error() -> None:
-    """A material with the index of air has its second orders exactly at the horizon, on both sides of the surface."""
-    air = wd.Material([500.0], [1.0], [0.0])
+    """Equations may be singular where an order is exactly at the horizon, and for a material with the index of air."""
+    to_light, grating = (0.5, 0.0, math.sqrt(0.75)), wd.gratings.lamellar(1.0, 0.1)
     with pytest.raises(ValueError, match=r"wavelengths_nm has a wavelength of 500 nm, .*singular.*change the"):
-        wd.rigorous_order_efficiencies(wd.gratings.lamellar(1.0, 0.1), (0, 0, 1), [500.0], material=air)
+        wd.rigorous_order_efficiencies(grating, to_light, [500.0], ior=1.5)
+    air = wd.Material([500.0], [1.0], [0.0])
+    with pytest.raises(ValueError, match="material must have an index that differs from that of air, got 1 at 500 nm"):
+        wd.rigorous_order_efficiencies(grating, (0, 0, 1), [500.0], material=air)

@@ -57,7 +57,7 @@ class Pairs:
     Attributes:
         centres: Frequencies q = (u, v)/λ at which the Gaussian weights have their maxima [1/µm], shape (p, 2).
         forms: Elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²], shape (p, 3).
-        kappas: |κ| of each pair [1/µm], shape (p,).
+        kappas: |κ| = |w|/λ of each pair [1/µm], shape (p,).
     """
 
     centres: NDArray[np.float64]

@@ -115,8 +115,8 @@ class LobePyramid:
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
         """Group the pairs of a direction and a wavelength by the level of the pyramid that computes their sums.
 
-        Level n has sums of 2ⁿ × 2ⁿ orders (nodes). Each item is the level, the indices of its pairs, these pairs for
-        the nodes of the level, and factors by which their sums are multiplied.
+        A node of level n is the sum of 2ⁿ × 2ⁿ orders. Each item is the level, the indices of its pairs, these pairs
+        with Gaussians for the nodes of the level, and factors by which their sums are multiplied.
         """
         xx, xy, yy = pairs.forms.T
         scale = 0.5 / (xx * yy - xy * xy)

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 # wavelengths, which have many weak orders, the limit is `_CHANGE_OF_LONG_PERIODS`. Both limits were chosen as the
 # accuracy of published tables of efficiencies.
 _CHANGE, _CHANGE_OF_LONG_PERIODS, _LONG_PERIOD = 5e-3, 1e-2, 20.0
+# Least difference between the index of a material and that of air, 1. A surface with a smaller difference reflects
+# nothing, and the equations of the solver may be singular.
+_LIKE_AIR = 1e-9
 # The solver begins with N harmonics of the fields. N is `_FIRST` times the highest diffraction order that propagates,
 # plus `_BEYOND`. Both were chosen because with fewer harmonics, the first doubling of N always changes the efficiencies
 # too much.
@@ -194,6 +197,11 @@ def rigorous_order_efficiencies(
     angle = math.atan2(unit[0, 0], unit[0, 2])
     relief = coupled_waves.layers_of(heightfield.heights_um[0], most)
     indices = index_at(substance, wavelengths)
+    if (like_air := np.abs(indices - 1.0) < _LIKE_AIR).any():
+        raise ArgumentValueError(
+            f"{ref('ior' if material is None else 'material')} must have an index that differs from that of air, got 1 "
+            f"at {wavelengths[like_air][0]:g} nm: omit this wavelength"
+        )
     parts: list[tuple[Array, Array, int, float, bool]] = []
     for column, wavelength in enumerate(wavelengths.tolist()):
         index = complex(indices[column])

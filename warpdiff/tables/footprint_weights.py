@@ -45,7 +45,7 @@ _VARIANCE_WITHIN_PARTS = 1.2
 
 @dataclass(frozen=True)
 class TapRule:
-    """Rule for the weights of taps: samples along or across a table's rings (circles) that a Gaussian blur adds.
+    """Rule for the weights of taps: the samples of a table of which a Gaussian blur computes the weighted sum.
 
     Attributes:
         radius_sigmas: Smallest extent of the taps on either side, in standard deviations of the blur.
