@@ -106,6 +106,24 @@ WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, 
     }
 }
 
+// Azimuth samples of the polar grid, from `begin` to `end` (excluded), that have samples of the spectrum within the
+// distance `reach` of the frequency (x, y). `radius` is the length of (x, y). The range is wider by one azimuth on each
+// side because of rounding errors. Indices below 0 and from `azimuths` on continue around the circle.
+struct NearAzimuths {
+    int begin, end;
+
+    WARPDIFF_INLINE NearAzimuths(double x, double y, double radius, double reach, int azimuths)
+    {
+        begin = 0, end = azimuths;
+        if (radius > 1.01 * reach) {
+            const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;
+            const double middle = wp::atan2(y, x) / per_azimuth, half = wp::asin(reach / radius) / per_azimuth;
+            begin = (int)wp::floor(middle - half) - 1;
+            end = wp::min((int)wp::ceil(middle + half) + 2, begin + azimuths);
+        }
+    }
+};
+
 // Add the contributions of nearby samples of the spectrum to the adjoint of one Fourier coefficient. An adjoint is the
 // derivative of a loss. The function is the transpose of `sample_azimuth_rings`.
 template <int BLOCK_RINGS, class Table, class Grid, class Values, class Rows>
@@ -124,17 +142,9 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
         const int first_direction = numbers<const int>(grid.first_directions)[block];
         const double* const radii = numbers<const double>(grid.radii) + numbers<const int>(grid.first_radii)[block];
         if (radii[count - 1] < radius - reach || radii[0] > radius + reach) continue;
-        // Only azimuth samples from `begin` to `end` have samples of the spectrum near the Fourier coefficient. The
-        // range is wider by one azimuth on each side because of rounding errors.
-        int begin = 0, end = azimuths;
-        if (radius > 1.01 * reach) {
-            const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;
-            const double middle = wp::atan2(y, x) / per_azimuth, half = wp::asin(reach / radius) / per_azimuth;
-            begin = (int)wp::floor(middle - half) - 1;
-            end = wp::min((int)wp::ceil(middle + half) + 2, begin + azimuths);
-        }
+        const NearAzimuths near(x, y, radius, reach, azimuths);
         const double first_log = grid.log_first + (double)(block * BLOCK_RINGS) * grid.step;
-        for (int j = begin; j < end; ++j) {
+        for (int j = near.begin; j < near.end; ++j) {
             const int azimuth = j < 0 ? j + azimuths : j >= azimuths ? j - azimuths : j;
             if (!numbers<const bool>(grid.is_used)[first_direction + azimuth]) continue;
             const double cosine = numbers<const double>(grid.directions)[2LL * (first_direction + azimuth)];

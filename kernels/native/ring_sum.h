@@ -124,30 +124,46 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
+// Gaussian by which the rows of the table are weighted, with the mean (u, v).
+//
+// `widest` and `narrow` are its standard deviations along its long and its short axis, with the squares `widest2` and
+// `narrow2`. `across` is the polar angle of the short axis [turns]. The mirror direction, u = v = 0, has the distance
+// `aside` from the long axis, and the distance `along` from the short axis.
+struct FootprintAxes {
+    float widest2, narrow2, widest, narrow, across, aside, along;
+    Gaussian2 gaussian;
+
+    template <class Table>
+    WARPDIFF_INLINE FootprintAxes(const Table& table, float u, float v, float xx, float xy, float yy)
+    {
+        // Rows are coefficients of a quadratic spline between rings (circles of the table), which blurs the rows by a
+        // variance of a quarter of the squared ring spacing. This variance is added to the covariance of the Gaussian.
+        const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
+        const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
+        const float least = NARROWEST * table.lobe_uv;
+        widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b);
+        narrow2 = larger((a * d - b * b) / widest2, least * least);
+        widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2);
+        across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
+        float x, y;
+        on_circle(across, x, y);
+        aside = u * x + v * y, along = v * x - u * y;
+        gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
+            y * y / narrow2 + x * x / widest2};
+    }
+};
+
 // Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings (circles of constant
 // |(u, v)|) are added from the outermost ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    // Rows are coefficients of a quadratic spline between rings (circles of the table), which blurs the rows by a
-    // variance of a quarter of the squared ring spacing. This variance is added to the covariance of the Gaussian.
-    const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
-    const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
-    const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
-    const float narrow2 = larger((a * d - b * b) / widest2, least * least);
-    const float widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2), middle = wp::sqrt(u * u + v * v);
+    const FootprintAxes axes(table, u, v, xx, xy, yy);
+    const float widest = axes.widest, narrow = axes.narrow, middle = wp::sqrt(u * u + v * v);
     const float turns = log_polar(u, v, table.least_uv).turns;
-    // Angle of the direction perpendicular to the long axis of the Gaussian, and distance of the long axis from the
-    // mirror direction.
-    const float across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
-    float x, y;
-    on_circle(across, x, y);
-    const float aside = u * x + v * y, along = v * x - u * y;
-    const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
-        y * y / narrow2 + x * x / widest2};
     // Distance between the rings (circles of constant |(u, v)|) that are added, a multiple of the distance between
     // rings in the table. It is limited by the width of the Gaussian in the direction of (u, v).
-    const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
+    const float steepness = wp::sqrt(axes.aside * axes.aside / axes.narrow2 + axes.along * axes.along / axes.widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
     const float outermost = log_polar(middle + OUTWARDS * widest, 0.0f, table.least_uv).log2;
@@ -165,7 +181,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         // The smaller the radius of a ring (circle of the table) is, the larger is the angle that the Gaussian covers
         // on it. More blurred mip levels (copies of the table) then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
-        const float variance = narrow2 / (radius * larger(radius, middle));
+        const float variance = axes.narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
         const float blur2 = smaller(level.blur2, MOST_BLUR2 * variance);
         const float* const rows = numbers<const float>(table.rows)
@@ -179,19 +195,19 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
         float from = 0.0f, to = 1.0f;
         if (widest > 1.5f * narrow) {
-            from = turns_of_cosine((aside + beside) / radius);
-            to = turns_of_cosine((aside - beside) / radius);
+            from = turns_of_cosine((axes.aside + beside) / radius);
+            to = turns_of_cosine((axes.aside - beside) / radius);
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
         // The positions of arcs of a ring (circle) are rounded to 1/64 of the distance between azimuth samples. If two
         // arcs touch, each azimuth is therefore in exactly one of them, in spite of the rounding errors of float32.
-        const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
+        const float place = wp::rint(64.0f * all * (is_streak ? axes.across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;
             const float end = !is_streak ? around : side == 0 ? to : -from;
-            add_arc(sum, gaussian, radius, blur2, cutoff, size, place + first * all, place + end * all, level.azimuths,
-                rows, stride);
+            add_arc(sum, axes.gaussian, radius, blur2, cutoff, size, place + first * all, place + end * all,
+                level.azimuths, rows, stride);
         }
         ring -= is_coarse ? 2 * apart : apart;
         radius *= is_coarse ? nearer * nearer : nearer;
