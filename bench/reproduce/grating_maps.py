@@ -142,6 +142,9 @@ def pitches(rng: np.random.Generator) -> None:
     }  # fmt: skip
     scales = rng.uniform(0.7, 1.4, (1, columns))
     scales[0, :2] = 0.7, 1.4
+    # Position of each pixel along the columns of dots, which depends on card and view alone.
+    plain = wd.shade(card, SINE, LIGHT, view, layers=["uv"], tolerance=0.3, footprint=False)
+    along = columns * plain.layers["uv"][..., 0]
     for name, cell in cells.items():
         for sigma_um in (5.0, 16.25):
             for tolerance in (0.1, 1e-2):
@@ -155,7 +158,7 @@ def pitches(rng: np.random.Generator) -> None:
                 for column, scale in enumerate(scales[0]):
                     single = wd.GratingMap(cell, pitch_scale=scale)
                     exact = wd.shade(card, single, light, view, tolerance=1e-3, strict=False, **common)
-                    among = image.mask & (np.floor(columns * uvs_of(card, light, view)[..., 0]) == column)
+                    among = image.mask & (np.floor(along) == column)
                     pairs.append((image.xyz[among].astype(float), exact.xyz[among].astype(float)))
                 own, true = (np.concatenate(values) for values in zip(*pairs, strict=True))
                 error, bright = relative(own, true), true[:, 1] >= FLOOR * reference_luminance(true[:, 1])
@@ -165,12 +168,6 @@ def pitches(rng: np.random.Generator) -> None:
                     f"{np.mean(bright):.0%} of {len(error)} pixels are bright",
                     flush=True,
                 )
-
-
-def uvs_of(card: Any, light: wd.DirectionalLight, view: wd.View) -> np.ndarray[Any, Any]:
-    """Return the texture coordinates at the pixels of a picture of the card, shape (height, width, 2)."""
-    image = wd.shade(card, SINE, light, view, layers=["uv"], tolerance=0.3, footprint=False)
-    return np.asarray(image.layers["uv"])
 
 
 def times(rng: np.random.Generator) -> None:

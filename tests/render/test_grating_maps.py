@@ -103,7 +103,7 @@ def test_footprints_are_turned_and_scaled(pitch: bool) -> None:
     pixel covers.
     """
     coherence = wd.Coherence(sigma_um=5.0)
-    # Of twelve pitch scales, colours are interpolated between nine tables.
+    # Colours of twelve pitch scales are interpolated between nine tables.
     grating_map = _map(FINGERS, (3, 4), pitch=pitch)
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 0.05, "refine": False, "ior": np.inf}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)

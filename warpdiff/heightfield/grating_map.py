@@ -197,7 +197,7 @@ class GratingMap(ReadOnlyArrays):
         """
         validation.count(row, "row", least=0, most=self.shape[0] - 1)
         validation.count(column, "column", least=0, most=self.shape[1] - 1)
-        return Dot(*(float(self._values[name][row, column]) for name in ("turn_deg", "depth_scale", "pitch_scale")))
+        return Dot(*(float(self._values[name][row, column]) for name in Dot._fields))
 
     def table(self) -> Table:
         """Return a table with a line per dot: row, column, ``turn_deg``, ``depth_scale`` and ``pitch_scale``.
@@ -238,14 +238,14 @@ class GratingMap(ReadOnlyArrays):
             GratingMap(1 × 2 dots (rows × columns), turn 0° to 30°, depth scale 1, pitch scale 1)
         """
         validation.instance(cell, HeightField, "cell")
-        file, names = validation.path(path, "path"), ("turn_deg", "depth_scale", "pitch_scale")
+        file = validation.path(path, "path")
         with files.describing(file):
-            columns = csv_columns.read(file, (*_PLACES, *names))
-            given = [name for name in names if name in columns]
+            columns = csv_columns.read(file, (*_PLACES, *Dot._fields))
+            given = [name for name in Dot._fields if name in columns]
             if not given or any(name not in columns for name in _PLACES):
                 raise ArgumentValueError(
-                    f"{ref('path')} must have the columns row, column and at least one of {', '.join(names)}, got "
-                    f"{', '.join(columns) or 'none of them'}"
+                    f"{ref('path')} must have the columns row, column and at least one of {', '.join(Dot._fields)}, "
+                    f"got {', '.join(columns) or 'none of them'}"
                 )
             places = np.stack([columns[name] for name in _PLACES])
             count = places.shape[1]

@@ -3,7 +3,7 @@
 A dot of a grating map has the height field of all dots, the cell, with its lengths multiplied by the pitch scale p. The
 power spectrum of a dot under a coherence window of the standard deviation σ is that of the cell under a window of σ/p.
 The colours of all dots are therefore interpolated between tables for windows of different widths: a ladder of tables.
-Neighbouring tables have equal ratios of σ.
+Neighbouring tables have equal ratios of σ, unless each of a few pitch scales has a table of its own.
 """
 
 from __future__ import annotations

@@ -228,15 +228,15 @@ def test_windows_of_scans_end_at_their_edges(size_um, expected, rng, monkeypatch
     monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
     field = grooves(rng, (20, round(size_um / 0.1)))
     field = wd.HeightField(np.repeat(field.heights_um, round(size_um / 2.0), axis=0), 0.1)
-    data = collect(request(field, sigmas_um=None), lambda _: None)
+    data = collect(request(field, sigmas_um=()), lambda _: None)
     assert data.request.sigmas_um == pytest.approx(expected)
     assert tuple(data.colours) == data.request.sigmas_um
     assert data.request.settings["coherence"] == wd.Coherence(sigma_um=data.request.sigmas_um[len(expected) // 2])
-    cell = collect(request(wd.gratings.blazed(2.0, 0.2), sigmas_um=None), lambda _: None)
+    cell = collect(request(wd.gratings.blazed(2.0, 0.2), sigmas_um=()), lambda _: None)
     assert cell.request.sigmas_um == (5.0, 16.25, 50.0)
     # A profile has one row. Its windows are limited by its length alone.
     profile = wd.HeightField(0.05 * np.sin(np.pi * 0.1 * np.arange(1000))[None, :], 0.1)
-    assert collect(request(profile, sigmas_um=None), lambda _: None).request.sigmas_um == (5.0, 16.25, 25.0)
+    assert collect(request(profile, sigmas_um=()), lambda _: None).request.sigmas_um == (5.0, 16.25, 25.0)
 
 
 def test_warnings_are_collected_on_the_page(rng, monkeypatch):

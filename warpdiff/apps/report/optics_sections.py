@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.apps.report.html_parts import RIGHT, Html, facts_table, paragraph, table_of, text_of
+from warpdiff.apps.report.report_data import PATCH_IN_SIGMAS
 from warpdiff.apps.report.result_texts import absent_text, axis_of, grade_text, light_text
 from warpdiff.heightfield.roughness import with_error
 
@@ -168,7 +169,7 @@ def colours_section(data: ReportData) -> str:
     if not data.colours:
         return ""
     tolerance = data.request.settings.get("tolerance", 0.01)
-    repeated = [f"{sigma:g}" for sigma in data.colours if 4.0 * sigma > max(data.patch_um) * (1.0 + 1e-9)]
+    repeated = [f"{sigma:g}" for sigma in data.colours if PATCH_IN_SIGMAS * sigma > max(data.patch_um) * (1.0 + 1e-9)]
     text = ""
     if repeated and not data.is_cell and not data.is_flat:
         text = (
@@ -178,9 +179,8 @@ def colours_section(data: ReportData) -> str:
     return paragraph(
         "The coherence window is the part of the surface whose light interferes, a Gaussian of standard deviation σ. A "
         "larger window separates orders better, because its lobes are narrower. Daylight and artificial light have "
-        "σ = 16.25 µm. For a scan, σ is at most a quarter of its size. The page “Coherence length” of warpdiff's "
-        "documentation has other lights. View angles θ are "
-        "positive "
+        "σ = 16.25 µm. By default, σ is at most a quarter of the size of a scan. The page “Coherence length” of "
+        "warpdiff's documentation has other lights. View angles θ are positive "
         f"towards +{axis_of(data)}. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the "
         "directions. The error of scalar diffraction is stated above. Differences between parts of the surface are not "
         f"included.{text}"

@@ -72,7 +72,7 @@ _LEAST_SINE = 1e-9
 # Default standard deviations σ of the coherence windows [µm]: that of daylight, and a shorter and a longer one.
 _SIGMAS_UM = (5.0, 16.25, 50.0)
 # Least size of a scan, in units of σ, at which its edges have little weight in the window.
-_PATCH_IN_SIGMAS = 4.0
+PATCH_IN_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ class Request:
             `warpdiff.report`.
         wavelengths_nm: Wavelengths [nm] for which the report lists diffraction orders and the expected error of scalar
             diffraction, shape (m,).
-        sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm]; None until they
-            are chosen by the size of the field.
+        sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm]; empty until
+            they are chosen by the size of the field.
         illuminant: Illuminant of the colours.
         measured: Measured curve; None if there is no measurement.
         settings: Other keyword arguments of `warpdiff.report`, by name.
@@ -97,7 +97,7 @@ class Request:
     to_light: NDArray[np.float64] | None
     to_view: NDArray[np.float64] | None
     wavelengths_nm: NDArray[np.float64]
-    sigmas_um: tuple[float, ...] | None
+    sigmas_um: tuple[float, ...]
     illuminant: str | Spectrum
     measured: MeasuredCurve | None
     settings: dict[str, Any]
@@ -203,20 +203,19 @@ class ReportData:
                 self.warnings.append(text)
 
 
-def _set_windows(data: ReportData) -> tuple[float, ...]:
-    """Choose the coherence windows of a report that its arguments leave open; return their σ [µm].
+def _with_windows(data: ReportData) -> Request:
+    """Return the arguments of a report with coherence windows where they leave them open.
 
     Wider windows than a scan would show its repetition. Reflectance map and comparison use the middle window.
     """
     # A profile, or a scan of few lines, is narrow along one axis. Its windows reach over the repeated lines.
     sides = [side for side in data.patch_um if side >= 0.5 * max(data.patch_um)]
-    request, most = data.request, math.inf if data.is_cell else min(sides) / _PATCH_IN_SIGMAS
+    request, most = data.request, math.inf if data.is_cell else min(sides) / PATCH_IN_SIGMAS
     sigmas_um = request.sigmas_um or tuple(sorted({min(sigma, most) for sigma in _SIGMAS_UM}))
     settings = request.settings
     if settings.get("coherence") is None and settings.get("plan") is None:
         settings = settings | {"coherence": Coherence(sigma_um=sigmas_um[len(sigmas_um) // 2])}
-    data.request = replace(request, sigmas_um=sigmas_um, settings=settings)
-    return sigmas_um
+    return replace(request, sigmas_um=sigmas_um, settings=settings)
 
 
 def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
@@ -245,7 +244,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
             data.reasons[name] = data.reasons["optics"]
         return data
     data.patch_um = optical.size_um
-    sigmas_um = _set_windows(data)
+    data.request = request = _with_windows(data)
     data.verdicts = data.attempt(
         "verdicts", lambda: tuple(verdict_on(optical, nm) for nm in request.wavelengths_nm.tolist())
     )
@@ -253,24 +252,23 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.attempt("orders", lambda: _add_orders(data, optical))
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
-    settings = data.request.settings
-    for index, sigma in enumerate(sigmas_um):
+    for index, sigma in enumerate(request.sigmas_um):
         # The caller's plan holds numbers of wavelengths and terms for another coherence window. It is not valid for
         # these colours.
-        of_window = settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
+        settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",
-            lambda of_window=of_window: reflectance(  # type: ignore[misc]
-                optical, data.to_light, views, illuminant=request.illuminant, **of_window
+            lambda settings=settings: reflectance(  # type: ignore[misc]
+                optical, data.to_light, views, illuminant=request.illuminant, **settings
             ),
         )
         if xyz is not None:
             data.colours[sigma] = np.asarray(xyz, dtype=np.float64)
-        progress(0.55 + 0.15 * (index + 1) / len(sigmas_um))
+        progress(0.55 + 0.15 * (index + 1) / len(request.sigmas_um))
     data.map = data.attempt(
         "map",
         lambda: reflectance_map(
-            optical, data.to_light, size=_MAP_PIXELS, illuminant=request.illuminant, **settings,
+            optical, data.to_light, size=_MAP_PIXELS, illuminant=request.illuminant, **request.settings,
             progress=lambda share: progress(0.7 + 0.2 * share),
         ),
     )  # fmt: skip

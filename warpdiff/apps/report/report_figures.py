@@ -197,13 +197,13 @@ def _exposure(luminances: NDArray[np.floating[Any]]) -> float:
     return float(f"{auto_exposure(luminances[luminances > 0.0], 'aces'):.2g}")
 
 
-def _exposures(data: ReportData) -> dict[float, float]:
-    """Return the automatic exposure of the colours against the view angle, by the σ of the coherence window [µm]."""
-    return {sigma: _exposure(xyz[:, 1]) for sigma, xyz in data.colours.items()}
+def _strips(data: ReportData) -> list[tuple[float, NDArray[np.float64], float]]:
+    """Return the strips of colours against the view angle: σ of the coherence window [µm], XYZ, and exposure."""
+    return [(sigma, xyz, _exposure(xyz[:, 1])) for sigma, xyz in data.colours.items()]
 
 
 def _colours(data: ReportData) -> Figure:
-    strips = [(sigma, data.colours[sigma], exposure) for sigma, exposure in _exposures(data).items()]
+    strips = _strips(data)
     sigma, xyz, exposure = strips[len(strips) // 2]
     strips.append((sigma, xyz, _BRIGHTER * exposure))
 
@@ -229,9 +229,9 @@ def _colours(data: ReportData) -> Figure:
 def _map(data: ReportData, image: Image) -> Figure:
     # Orders are much brighter than the light between them. The first map has the exposure of the colours against the
     # view angle, which shows the colours of orders, and the second one shows the light between them.
-    of_strips = list(_exposures(data).values())
-    brighter = _exposure(image.xyz[..., 1])
-    exposures = [of_strips[len(of_strips) // 2], brighter] if of_strips else [brighter]
+    exposures = [_exposure(image.xyz[..., 1])]
+    if strips := _strips(data):
+        exposures.insert(0, strips[len(strips) // 2][2])
     coherence = EvaluationSettings(**data.request.settings).effective_coherence
 
     def at(exposure: float) -> str:

@@ -93,7 +93,7 @@ def _settings(data: ReportData) -> JsonObject:
         values["ior"] = DEFAULT_IOR
     values["coherence"] = settings.effective_coherence
     return {
-        "wavelengths_nm": request.wavelengths_nm.tolist(), "sigmas_um": list(request.sigmas_um or ()),
+        "wavelengths_nm": request.wavelengths_nm.tolist(), "sigmas_um": list(request.sigmas_um),
         "illuminant": str(request.illuminant),
         **{name: _plain(value) for name, value in values.items()},
     }  # fmt: skip

@@ -171,9 +171,9 @@ def _wavelengths(value: ArrayLike) -> NDArray[np.float64]:
     return wavelengths
 
 
-def _sigmas(value: Sequence[float] | None) -> tuple[float, ...] | None:
+def _sigmas(value: Sequence[float] | None) -> tuple[float, ...]:
     if value is None:
-        return None
+        return ()
     sigmas = np.unique(np.atleast_1d(validation.finite_array(value, "sigmas_um", most=validation.MOST))).tolist()
     if not 1 <= len(sigmas) <= _MOST_SIGMAS or not all(sigma >= validation.LEAST for sigma in sigmas):
         raise ArgumentValueError(
