@@ -1,9 +1,10 @@
 """Look-up of the colours of dots with different pitch scales under an averaged coherence window.
 
-A dot of a grating map has the height field of all dots, the cell, with its lengths multiplied by the pitch scale p. The
-power spectrum of a dot under a coherence window of the standard deviation σ is that of the cell under a window of σ/p.
-The colours of all dots are therefore interpolated between tables for windows of different widths: a ladder of tables.
-Neighbouring tables have equal ratios of σ, unless each of a few pitch scales has a table of its own.
+All dots of a grating map are copies of one height field, the cell. In a dot with the pitch scale p, the lengths along
+the surface are multiplied by p. At scattering vectors multiplied by p, the power spectrum of the cell under a coherence
+window of the standard deviation σ/p is that of the dot under a window of σ. The colours of all dots are therefore
+interpolated between tables of the cell for several widths of the window: a ladder of tables. The ratio of σ of
+neighbouring tables is constant, unless there are so few pitch scales that each has its own table.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
 
 # Number of colour tables per factor of two of the window width σ, for a tolerance of 0.1. The error of cubic
 # interpolation is proportional to the fourth power of the step, so that the number for other tolerances follows from
-# this one. Measured by ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance. If
-# doubled, maps have twice as many tables.
+# this one. It was measured by ``bench/reproduce/grating_maps.py --pitches``. If the number is halved, errors exceed the
+# tolerance. If it is doubled, maps have twice as many tables.
 _TABLES_PER_OCTAVE = 8.0
 # Least distance between the binary logarithms of two pitch scales that get colour tables of their own. Smaller
 # distances would be lost among the rounding errors of the logarithm in float32.
@@ -69,10 +70,11 @@ class PitchLadder:
         steps = np.arange(-1, math.ceil(places[-1] * per_octave - _ROUNDING) + 2)
         octaves, least_gap = steps / per_octave, float(np.diff(places).min())
         if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
-            # The weight of a table is 0 at a distance of two steps or more. Neighbours are three steps apart, so that
-            # rounding gives them no weight.
+            # A table has the weight 0 for dots that are two or more steps away. With a step of a third of the least gap,
+            # rounding gives neighbouring tables no weight.
             octaves, per_octave = places, 3.0 / least_gap
-        # Tables are made for the height field of the dots at the largest pitch scale, under the window of the picture.
+        # All tables are made for the height field at the largest pitch scale. The window of a table is that of the
+        # picture, multiplied by the largest pitch scale and divided by that of the table.
         widths = float(coherence.sigma_um or 0.0) * 2.0 ** (places[-1] - octaves)
         windows = tuple(replace(coherence, sigma_um=float(width)) for width in widths)
         return cls(tuple(octaves.tolist()), windows, per_octave)
@@ -116,9 +118,9 @@ class LadderLookup(ColourLookup):
 
         The length of a direction in ``to_lights`` is the pitch scale relative to the smallest one of the map.
         """
-        # The geometry factors (gains) for all tables are written into the same array, because the calls of a slice run
-        # one after the other. Tables of averaged windows exclude no directions, so that the array for the gains of such
-        # directions is free.
+        # Each table overwrites one array with its weighted geometry factors (gains). One array is enough, because the
+        # calls run one after the other. Other look-ups use this array for the gains of directions that their table
+        # excludes. Tables of averaged windows exclude no direction.
         weighed = unserved_gain
         if weighed is None or not len(weighed):
             weighed = wp.empty(len(gains), dtype=wp.float32, device=self.device)
