@@ -70,8 +70,8 @@ class PitchLadder:
         steps = np.arange(-1, math.ceil(places[-1] * per_octave - _ROUNDING) + 2)
         octaves, least_gap = steps / per_octave, float(np.diff(places).min())
         if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
-            # A table has the weight 0 for dots that are two or more steps away. With a step of a third of the least gap,
-            # rounding gives neighbouring tables no weight.
+            # A table has the weight 0 for dots that are two or more steps away. With a step of a third of the least
+            # gap, rounding gives neighbouring tables no weight.
             octaves, per_octave = places, 3.0 / least_gap
         # All tables are made for the height field at the largest pitch scale. The window of a table is that of the
         # picture, multiplied by the largest pitch scale and divided by that of the table.
