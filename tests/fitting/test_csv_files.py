@@ -80,6 +80,18 @@ def test_missing_files_and_files_of_two_kinds_are_refused(tmp_path):
         read(tmp_path, both + "0,0,0,0,550,0.5,0.4,0.5,0.3\n")
 
 
+def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
+    path = tmp_path / "measured.csv"
+    path.touch()
+
+    def refuse(_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
+    with pytest.raises(OSError, match=r"path: '.*measured\.csv' cannot be read: Input/output error"):
+        wd.Measured.from_csv(path)
+
+
 def test_small_letters_are_positions_and_no_colours(tmp_path):
     columns = "light_theta_deg,light_phi_deg,view_theta_deg,view_phi_deg,X,Y,Z,x,y,z\n"
     assert read(tmp_path, columns + "0,0,0,0,0.4,0.5,0.3,7,8,9\n").values.tolist() == [0.4, 0.5, 0.3]

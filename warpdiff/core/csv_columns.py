@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from warpdiff.core import files
 from warpdiff.core.text_encodings import decoded
 from warpdiff.core.wording import ArgumentValueError, ref
 
@@ -55,11 +56,13 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
 
     Raises:
         FileNotFoundError: The file does not exist.
+        OSError: The file cannot be read.
         ValueError: A cell is not a number, a column occurs twice, or the file is not a table.
     """
     if not path.is_file():
         raise FileNotFoundError(f"path: {str(path)!r} is not a file")
-    text = decoded(path.read_bytes())
+    with files.naming_file(path):
+        text = decoded(path.read_bytes())
     if "\0" in text:
         raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file, because it contains NUL characters")
     names = tuple(known)
