@@ -476,3 +476,15 @@ def test_texts_that_are_no_json_are_refused(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match="must be a sound glTF file"):
             prepare_surface(path)
+
+
+def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
+    path = tmp_path / "square.glb"
+    path.touch()
+
+    def refuse(_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
+    with pytest.raises(OSError, match=r"mesh: '.*square\.glb' cannot be read: Input/output error"):
+        prepare_surface(path)

@@ -8,8 +8,8 @@ import struct
 import urllib.parse
 from typing import TYPE_CHECKING
 
-from warpdiff.core import memory
-from warpdiff.core.wording import ref
+from warpdiff.core import files, memory
+from warpdiff.core.wording import ref, renaming
 from warpdiff.scene.gltf.gltf_values import Element, parsed, refuse
 
 if TYPE_CHECKING:
@@ -40,7 +40,8 @@ class Container:
     def __init__(self, file: Path) -> None:
         """Read the JSON of a glTF file."""
         memory.require_memory(2.0 * file.stat().st_size, f"{ref('mesh')} file {file.name!r}", "use a smaller one")
-        data = file.read_bytes()
+        with renaming({"path": "mesh"}), files.naming_file(file):
+            data = file.read_bytes()
         self.name = file.name
         self._folder = file.parent.resolve()
         self._binary: memoryview | None = None
