@@ -26,29 +26,32 @@ SHARE_BEYOND_NEIGHBOURS = wp.constant(wp.float32(refinement_levels.share_beyond(
 
 
 @wp.func_native(
-    f"warpdiff::find_dots(camera, mesh, pixels, rows, columns, across, {LEAST_FACING}f, begin, end, dots_out);"
+    f"warpdiff::find_dots(camera, mesh, pixels, rows, columns, repeats, across, {LEAST_FACING}f, begin, end, dots_out, "
+    "shares_out);"
 )
 def find_dots_run(
-    camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, across: wp.int32,
-    begin: wp.int32, end: wp.int32, dots_out: wp.array(dtype=wp.int32),
+    camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, repeats: wp.bool,
+    across: wp.int32, begin: wp.int32, end: wp.int32, dots_out: wp.array(dtype=wp.int32),
+    shares_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
     """Find the dots of a grating map at the hits from ``begin`` to ``end``."""
 
 
 @wp.kernel
 def find_dots(
-    camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, across: wp.int32,
-    first: wp.int32, run: wp.int32,
-    dots_out: wp.array(dtype=wp.int32),
+    camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, repeats: wp.bool,
+    across: wp.int32, first: wp.int32, run: wp.int32,
+    dots_out: wp.array(dtype=wp.int32), shares_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
     """Find the index of the dot at each hit: its row times ``columns`` plus its column, or −1 without a hit.
 
-    A dot is a rectangle of a grating map. A pixel has ``across`` subpixel cells per side. The ray of each cell looks up
-    its dot at another position within the cell.
+    A dot is a rectangle of a grating map, which ``repeats`` if the mesh has texture coordinates beyond 0 to 1. A pixel
+    has ``across`` subpixel cells per side. A cell may overlap up to four dots; ``shares_out`` are its shares in the dot
+    at each hit, in the next dot along u, in the next dot along v, and in the next dot along both.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
-    find_dots_run(camera, mesh, pixels, rows, columns, across, begin, begin + run, dots_out)
+    find_dots_run(camera, mesh, pixels, rows, columns, repeats, across, begin, begin + run, dots_out, shares_out)
 
 
 @wp.func
@@ -63,8 +66,9 @@ def is_on_surface(
 
 @wp.kernel
 def transform_samples(
-    transforms: wp.array(dtype=wp.vec4f), dots: wp.array(dtype=wp.int32), faces: wp.array(dtype=wp.int32),
-    surfaces: wp.array(dtype=wp.int32), surface: wp.int32, scattering_vectors: wp.array(dtype=wp.vec3d),
+    transforms: wp.array2d(dtype=wp.vec4f), dots: wp.array(dtype=wp.int32), shares: wp.array(dtype=wp.vec4f),
+    part: wp.int32, faces: wp.array(dtype=wp.int32), surfaces: wp.array(dtype=wp.int32), surface: wp.int32,
+    scattering_vectors: wp.array(dtype=wp.vec3d),
     to_lights: wp.array(dtype=wp.vec3f), footprints: wp.array(dtype=Footprint), first: wp.int32, run: wp.int32,
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     footprints_out: wp.array(dtype=Footprint),
@@ -75,8 +79,11 @@ def transform_samples(
     rectangle of the map with its own pitch p, turn φ and depth d, relative to one height field.
 
     Args:
-        transforms: Transform of each dot: p cos φ, p sin φ, d, and the length that is given to directions to the light.
-        dots: Index of the dot of each ray; −1 without a hit.
+        transforms: Transform of each dot, shape (rows, columns): p cos φ, p sin φ, d, and the length that is given to
+            directions to the light.
+        dots: Index of the first dot of each ray; −1 without a hit.
+        shares: Shares of the ray's subpixel cell in up to four dots, see :func:`find_dots`.
+        part: Index of the dot among these four.
         faces: Face that each ray hits.
         surfaces: Surface of each face; empty if all faces have the same surface.
         surface: Index of the surface with the map.
@@ -91,12 +98,16 @@ def transform_samples(
         footprints_out: Changes of p R(−φ) (u, v); not written if ``footprints`` is empty.
     """
     thread, _ = wp.tid()
+    rows = transforms.shape[0]
+    columns = transforms.shape[1]
     for i in range(first + thread * run, first + (thread + 1) * run):
         dot = wp.vec4f()
         per_pitch = wp.float32(0.0)
-        if dots[i] >= 0:
+        if dots[i] >= 0 and shares[i][part] > 0.0:
             if is_on_surface(faces, i, surfaces, surface):
-                dot = transforms[dots[i]]
+                dot = transforms[
+                    (dots[i] // columns + rows - part // 2) % rows, (dots[i] % columns + part % 2) % columns
+                ]
                 per_pitch = dot[3] / wp.sqrt(dot[0] * dot[0] + dot[1] * dot[1])
         vector = scattering_vectors[i]
         x = wp.float64(dot[0])
@@ -121,17 +132,25 @@ def transform_samples(
 @wp.kernel
 def scale_gains(
     ratios: wp.array(dtype=wp.float32), scattering_vectors: wp.array(dtype=wp.vec3d),
-    gains: wp.array(dtype=wp.float32), first: wp.int32, run: wp.int32,
+    gains: wp.array(dtype=wp.float32), shares: wp.array(dtype=wp.vec4f), part: wp.int32, first: wp.int32,
+    run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains (geometry factors) by a function of cos θd = |(u, v, w)|/2, which is tabulated from 0 to 1."""
+    """Multiply gains (geometry factors) by the share of a dot in a subpixel cell, and by a reflectance.
+
+    The reflectance is a function of cos θd = |(u, v, w)|/2. ``ratios`` has its values from 0 to 1; if ``ratios`` is
+    empty, there is none. ``part`` is the index of the dot in ``shares``, see :func:`find_dots`.
+    """
     thread, _ = wp.tid()
     last = ratios.shape[0] - 1
     for i in range(first + thread * run, first + (thread + 1) * run):
-        place = wp.min(0.5 * wp.float32(wp.length(scattering_vectors[i])), 1.0) * wp.float32(last)
-        entry = wp.min(wp.int32(place), last - 1)
-        t = place - wp.float32(entry)
-        gains_out[i] = gains[i] * ((1.0 - t) * ratios[entry] + t * ratios[entry + 1])
+        gain = gains[i] * shares[i][part]
+        if last > 0:
+            place = wp.min(0.5 * wp.float32(wp.length(scattering_vectors[i])), 1.0) * wp.float32(last)
+            entry = wp.min(wp.int32(place), last - 1)
+            t = place - wp.float32(entry)
+            gain *= (1.0 - t) * ratios[entry] + t * ratios[entry + 1]
+        gains_out[i] = gain
 
 
 @wp.kernel

@@ -57,6 +57,10 @@ ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # computing time: if it is doubled, pictures with lights whose directions are drawn at random require four times as many
 # samples.
 SCATTER_FACTOR = 1.5
+# On grating maps, cells are divided at edges of dots. The error of a tile then falls faster with the number n of cells
+# along an axis than the scatter of its cells: by a further factor n^−DOTS_ERROR_ORDER. The value was fitted
+# (docs/decisions/grating_maps.md). If it is doubled, levels of refinement are too small.
+DOTS_ERROR_ORDER = 0.2
 # Safety factor for the random scatter that one tile (a pixel that is divided into cells) contributes to the error of a
 # pixel, when the level of the tile is raised. The factor was derived from an error to which four tiles contribute
 # equally, as a root sum of squares. It was tested on the meshes of a snake and a tube

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from warpdiff.scene.gbuffer import GBuffer
 
 
+# Largest number of dots whose shares in a subpixel cell are computed: two along each axis of the grating map.
+MOST_DOTS = 4
+
+
 class LookupSamples(NamedTuple):
     """Arrays from which colours are looked up, with one entry per ray. Geometry factors are passed separately.
 
@@ -55,14 +59,18 @@ class DotSamples:
             one ray per pixel, they are overwritten by signals, from which refinement finds the edges of dots.
         to_lights: Directions to the light in the frames of the cells, (n,) of ``wp.vec3f``.
         footprints: Footprints in the frames of the cells, (n,); empty if pixels show points.
-        dots: Indices of the dots, row by row, (n,); −1 without a hit.
-        gains: Geometry factors, multiplied by the dependence of a material's reflectance on the angle, (n,).
+        dots: Indices of the dots, row by row, (n,); −1 without a hit. If a subpixel cell overlaps several dots, the
+            index is that of its first dot.
+        shares: Shares of the area of each subpixel cell in up to four dots, (n,) of ``wp.vec4f``.
+        gains: Geometry factors, multiplied by the share of one dot in the cell, and by the dependence of a material's
+            reflectance on the angle, (n,).
     """
 
     scattering_vectors: wp.array
     to_lights: wp.array
     footprints: wp.array
     dots: wp.array
+    shares: wp.array
     gains: wp.array
 
     @classmethod
@@ -72,10 +80,13 @@ class DotSamples:
         If ``means`` is False, pixels show points instead of means over footprints, and the array of footprints is
         empty.
         """
+
+        def empty(dtype: type, size: int = rays) -> wp.array:
+            return wp.empty(size, dtype=dtype, device=device)
+
         return cls(
-            wp.empty(rays, dtype=wp.vec3d, device=device), wp.empty(rays, dtype=wp.vec3f, device=device),
-            wp.empty(rays * means, dtype=Footprint, device=device), wp.empty(rays, dtype=wp.int32, device=device),
-            wp.empty(rays, dtype=wp.float32, device=device),
+            empty(wp.vec3d), empty(wp.vec3f), empty(Footprint, rays * means), empty(wp.int32), empty(wp.vec4f),
+            empty(wp.float32),
         )  # fmt: skip
 
 
@@ -104,9 +115,12 @@ class GratingDots:
         self._rays = rays
         self._ratios: dict[Material, wp.array] = {}
         self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
+        self._no_ratios = wp.empty(0, dtype=wp.float32, device=device)
+        uvs = rays.surface.uvs
+        self._repeats = bool(uvs.min() < 0.0 or uvs.max() > 1.0)
         self._shapes = {surface: grating_map.shape for surface, grating_map in maps.items()}
         self._transforms = {
-            surface: wp.array(grating_map.transforms.reshape(-1, 4), dtype=wp.vec4f, device=device)
+            surface: wp.array(grating_map.transforms, dtype=wp.vec4f, device=device)
             for surface, grating_map in maps.items()
         }
         self._surface_of_faces = wp.array(surface_of_faces, dtype=wp.int32, device=device)
@@ -126,50 +140,58 @@ class GratingDots:
         return surface in self._transforms
 
     def scaled_gains(
-        self, material: Material | None, scattering_vectors: wp.array, gains: wp.array, of_dots: DotSamples
-    ) -> tuple[wp.array, list[KernelCall]]:
-        """Return the factors (gains) by which looked-up colours of a material are multiplied, and their kernel calls.
+        self, material: Material | None, scattering_vectors: wp.array, gains: wp.array, of_dots: DotSamples, part: int
+    ) -> KernelCall:
+        """Return the kernel call that writes the factors of looked-up colours of a material to ``of_dots.gains``.
 
-        If looked-up colours include a reflectance that does not depend on the angle, the gains are multiplied by the
+        The geometry factors ``gains`` are multiplied by the share of each subpixel cell in its dot ``part``. If
+        looked-up colours include a reflectance that does not depend on the angle, they are also multiplied by the
         reflectance at the angle, divided by the included one.
         """
-        if not isinstance(material, FixedReflectance):
-            return gains, []
-        if material not in self._ratios:
-            device = self._rays.options["device"]
-            self._ratios[material] = wp.array(luminance_ratios(material), dtype=wp.float32, device=device)
-        inputs = [self._ratios[material], scattering_vectors, gains]
-        return of_dots.gains, [KernelCall(dot_transforms.scale_gains, inputs, [of_dots.gains], in_runs=True)]
+        ratios = self._no_ratios
+        if isinstance(material, FixedReflectance):
+            if material not in self._ratios:
+                device = self._rays.options["device"]
+                self._ratios[material] = wp.array(luminance_ratios(material), dtype=wp.float32, device=device)
+            ratios = self._ratios[material]
+        inputs = [ratios, scattering_vectors, gains, of_dots.shares, part]
+        return KernelCall(dot_transforms.scale_gains, inputs, [of_dots.gains], in_runs=True)
 
     def transform(
-        self, surface: int, gbuffer: GBuffer, samples: LookupSamples, of_dots: DotSamples, level: int
-    ) -> tuple[LookupSamples, list[KernelCall]]:
-        """Return the samples of a surface in the frames of its dots, and the kernel calls that compute them.
+        self, surface: int, gbuffer: GBuffer, samples: LookupSamples, of_dots: DotSamples, part: int
+    ) -> tuple[LookupSamples, KernelCall]:
+        """Return the samples of a surface in the frames of its dots, and the kernel call that computes them.
 
         A sample is a scattering vector with the direction to the light and the footprint of the pixel. In the frame of
-        a dot, the dot's rotation and scaling of the height field are undone.
+        a dot, the dot's rotation and scaling of the height field are undone. The dots must have been found by
+        :meth:`find`.
 
         Args:
             surface: Index of a surface with a grating map.
             gbuffer: Hits of the rays.
             samples: Samples in the frames of the hits.
             of_dots: Arrays for the result.
-            level: Level of the subpixel cells that the rays represent; 0 is one ray per pixel.
+            part: Index of the dot among those that each subpixel cell overlaps.
         """
         footprints = self._no_footprints if samples.footprints is None else samples.footprints
         inputs = [
-            self._transforms[surface], of_dots.dots, gbuffer.pixels.face, self._surface_of_faces, surface,
-            samples.scattering_vectors, samples.to_lights, footprints,
+            self._transforms[surface], of_dots.dots, of_dots.shares, part, gbuffer.pixels.face, self._surface_of_faces,
+            surface, samples.scattering_vectors, samples.to_lights, footprints,
         ]  # fmt: skip
         outputs = [of_dots.scattering_vectors, of_dots.to_lights, of_dots.footprints]
-        transform = KernelCall(dot_transforms.transform_samples, inputs, outputs, in_runs=True)
         result = LookupSamples(outputs[0], outputs[1], None if samples.footprints is None else outputs[2])
-        return result, [self._find(surface, gbuffer, of_dots, level), transform]
+        return result, KernelCall(dot_transforms.transform_samples, inputs, outputs, in_runs=True)
 
-    def _find(self, surface: int, gbuffer: GBuffer, of_dots: DotSamples, level: int) -> KernelCall:
-        """Return the kernel call that finds the dot of the grating map at each hit on a surface."""
-        inputs = [self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface], 1 << level]
-        return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots], in_runs=True)
+    def find(self, surface: int, gbuffer: GBuffer, of_dots: DotSamples, level: int) -> KernelCall:
+        """Return the kernel call that finds the dots of a surface's grating map that each ray's subpixel cell overlaps.
+
+        ``level`` is the level of the cells; at level 0, there is one ray per pixel, which has a single dot.
+        """
+        inputs = [
+            self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface], self._repeats,
+            1 << level,
+        ]  # fmt: skip
+        return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots, of_dots.shares], in_runs=True)
 
     def signal_calls(self, gbuffer: GBuffer, scattering_vectors: wp.array, of_dots: DotSamples) -> list[KernelCall]:
         """Return the kernel calls that write signals to ``of_dots.scattering_vectors``, for one ray per pixel.
@@ -184,7 +206,7 @@ class GratingDots:
                 scattering_vectors, place == 0,
             ]  # fmt: skip
             calls += [
-                self._find(surface, gbuffer, of_dots, 0),
+                self.find(surface, gbuffer, of_dots, 0),
                 KernelCall(dot_transforms.signals_of_dots, inputs, [of_dots.scattering_vectors], in_runs=True),
             ]
         return calls

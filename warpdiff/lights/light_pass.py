@@ -21,7 +21,7 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.grating_dots import DotSamples, GratingDots, LookupSamples, material_of_dots
+from warpdiff.lights.grating_dots import MOST_DOTS, DotSamples, GratingDots, LookupSamples, material_of_dots
 from warpdiff.lights.plain_materials import plain_faces
 from warpdiff.lights.surface_optics import Finish, PictureUnit
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
-    from warpdiff.tables.lookup import Lookups
+    from warpdiff.tables.lookup import ColourLookup, Lookups
 
 
 class PassContext:
@@ -418,35 +418,59 @@ class LightPass(ABC):
             surface: The only surface whose colours are added; None stands for all surfaces.
         """
         samples, context = batch.samples, self.context
+        dots, of_dots = context.dots, samples.of_dots
         calls: list[KernelCall] = []
         of_rays = LookupSamples(samples.scattering_vectors, samples.to_lights, footprints)
-        for index, (finish, spectra) in enumerate(zip(context.finishes, self.illuminated[lobe], strict=True)):
+        for index, finish in enumerate(context.finishes):
             lookup = lookups[finish.surface] if finish.surface < len(lookups) else None
             if lookup is None or surface not in (None, finish.surface):
                 continue
-            own = of_rays
-            if context.dots is not None and samples.of_dots is not None and context.dots.has_map(finish.surface):
-                own, transforms = context.dots.transform(
-                    finish.surface, batch.gbuffer, of_rays, samples.of_dots, batch.level
+            if dots is None or of_dots is None or not dots.has_map(finish.surface):
+                calls += self._look_up_finish(lobe, index, gains, of_rays, batch, lookup)
+                continue
+            calls.append(dots.find(finish.surface, batch.gbuffer, of_dots, batch.level))
+            # A subpixel cell may overlap several dots of a grating map. Each of them is looked up, and its colour is
+            # multiplied by its share of the cell.
+            for part in range(MOST_DOTS if batch.level else 1):
+                own, transform = dots.transform(finish.surface, batch.gbuffer, of_rays, of_dots, part)
+                calls += [transform, *self._look_up_finish(lobe, index, gains, own, batch, lookup, part)]
+        if dots is not None and of_dots is not None and context.refines and batch.level == 0:
+            calls += dots.signal_calls(batch.gbuffer, samples.scattering_vectors, of_dots)
+        return calls
+
+    def _look_up_finish(
+        self, lobe: int, index: int, gains: Sequence[wp.array], own: LookupSamples, batch: RayBatch,
+        lookup: ColourLookup, part: int | None = None,
+    ) -> list[KernelCall]:  # fmt: skip
+        """Return the kernel calls that look up the colours of a finish (a surface with one of its materials).
+
+        Args:
+            lobe: Index of the lobe.
+            index: Index of the finish.
+            gains: Geometry factors for each spectrum of the lobe.
+            own: Samples from which colours are looked up. On a grating map, they are in the frames of dots.
+            batch: The rays and their sums.
+            lookup: Look-up of the surface.
+            part: Index of the dot among those that each subpixel cell overlaps; None without a grating map.
+        """
+        samples, context = batch.samples, self.context
+        calls: list[KernelCall] = []
+        for gain, illuminated in zip(gains, self.illuminated[lobe][index], strict=True):
+            used = gain
+            if context.has_finishes:
+                inputs = [gain, batch.gbuffer.pixels.face, context.finish_of_faces, index]
+                used = samples.finish_gains
+                calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
+            if context.dots is not None and samples.of_dots is not None and part is not None:
+                material = context.finishes[index].looked_up
+                calls.append(
+                    context.dots.scaled_gains(material, samples.scattering_vectors, used, samples.of_dots, part)
                 )
-                calls += transforms
-            for gain, illuminated in zip(gains, spectra, strict=True):
-                used = gain
-                if context.has_finishes:
-                    inputs = [gain, batch.gbuffer.pixels.face, context.finish_of_faces, index]
-                    used = samples.finish_gains
-                    calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
-                if own is not of_rays and context.dots is not None and samples.of_dots is not None:
-                    used, scales = context.dots.scaled_gains(
-                        finish.looked_up, samples.scattering_vectors, used, samples.of_dots
-                    )
-                    calls += scales
-                calls += lookup.kernel_calls(
-                    own.scattering_vectors, own.to_lights, used, illuminated, batch.xyz,
-                    own.footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
-                )  # fmt: skip
-        if context.dots is not None and samples.of_dots is not None and context.refines and batch.level == 0:
-            calls += context.dots.signal_calls(batch.gbuffer, samples.scattering_vectors, samples.of_dots)
+                used = samples.of_dots.gains
+            calls += lookup.kernel_calls(
+                own.scattering_vectors, own.to_lights, used, illuminated, batch.xyz,
+                own.footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
+            )  # fmt: skip
         return calls
 
     def shade(self, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:

@@ -165,8 +165,9 @@ class PixelSampler:
         if dots is None or of_dots is None or not dots.has_map(surface):
             return None
         samples = LookupSamples(self.samples.scattering_vectors, self.samples.to_lights, None)
-        result, transforms = dots.transform(surface, self._context.rays.gbuffer, samples, of_dots, level=0)
-        self._context.rays.launch(transforms)
+        gbuffer = self._context.rays.gbuffer
+        result, transform = dots.transform(surface, gbuffer, samples, of_dots, part=0)
+        self._context.rays.launch([dots.find(surface, gbuffer, of_dots, level=0), transform])
         to_lights = result.to_lights.numpy()
         lengths = np.linalg.norm(to_lights, axis=1, keepdims=True)
         return result.scattering_vectors.numpy(), to_lights / np.maximum(lengths, 1e-6), self.samples.gains.numpy()
