@@ -43,11 +43,13 @@ def find_dots(
     across: wp.int32, first: wp.int32, run: wp.int32,
     dots_out: wp.array(dtype=wp.int32), shares_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
-    """Find the index of the dot at each hit: its row times ``columns`` plus its column, or −1 without a hit.
+    """Find the first dot of the subpixel cell of each ray, the dot with the smallest u and v, and the cell's shares.
 
-    A dot is a rectangle of a grating map, which ``repeats`` if the mesh has texture coordinates beyond 0 to 1. A pixel
-    has ``across`` subpixel cells per side. A cell may overlap up to four dots; ``shares_out`` are its shares in the dot
-    at each hit, in the next dot along u, in the next dot along v, and in the next dot along both.
+    A dot is a rectangle of a grating map. Its index is its row times ``columns`` plus its column; −1 without a hit. The
+    map ``repeats`` if the mesh has texture coordinates beyond 0 to 1. A pixel has ``across`` subpixel cells per side.
+
+    ``shares_out`` are the shares of the subpixel cell in the first dot, in the next dot along u, in the next dot along
+    v, and in the next dot along both. A subpixel cell that overlaps more dots has a single one, with the share 1.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
@@ -79,11 +81,11 @@ def transform_samples(
     rectangle of the map with its own pitch p, turn φ and depth d, relative to one height field.
 
     Args:
-        transforms: Transform of each dot, shape (rows, columns): p cos φ, p sin φ, d, and the length that is given to
-            directions to the light.
+        transforms: Transform of each dot, shape (rows, columns): p cos φ, p sin φ, d, and p relative to the smallest p
+            of the map.
         dots: Index of the first dot of each ray; −1 without a hit.
         shares: Shares of the ray's subpixel cell in up to four dots, see :func:`find_dots`.
-        part: Index of the dot among these four.
+        part: Index of the dot in ``shares``, from 0 to 3. Where the share of this dot is 0, the results are 0.
         faces: Face that each ray hits.
         surfaces: Surface of each face; empty if all faces have the same surface.
         surface: Index of the surface with the map.
@@ -136,10 +138,12 @@ def scale_gains(
     run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains (geometry factors) by the share of a dot in a subpixel cell, and by a reflectance.
+    """Multiply gains (geometry factors) by the share of a dot in a subpixel cell, and by a ratio of reflectances.
 
-    The reflectance is a function of cos θd = |(u, v, w)|/2. ``ratios`` has its values from 0 to 1; if ``ratios`` is
-    empty, there is none. ``part`` is the index of the dot in ``shares``, see :func:`find_dots`.
+    The ratio is the luminance of a reflectance at the angle θd, relative to normal incidence. θd is half the angle
+    between light and viewer, so that cos θd = |(u, v, w)|/2. ``ratios`` has the values at equidistant cos θd from 0 to
+    1; if the array is empty, there is no such factor. ``part`` is the index of the dot in ``shares``, see
+    :func:`find_dots`.
     """
     thread, _ = wp.tid()
     last = ratios.shape[0] - 1

@@ -57,9 +57,11 @@ ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # computing time: if it is doubled, pictures with lights whose directions are drawn at random require four times as many
 # samples.
 SCATTER_FACTOR = 1.5
-# On grating maps, cells are divided at edges of dots. The error of a tile then falls faster with the number n of cells
-# along an axis than the scatter of its cells: by a further factor n^−DOTS_ERROR_ORDER. The value was fitted
-# (docs/decisions/grating_maps.md). If it is doubled, levels of refinement are too small.
+# On grating maps, subpixel cells are divided between dots. The error of a tile then falls faster with the number n of
+# subpixel cells along an axis than the standard deviation of the mean of independent samples does: by a further factor
+# (n/4)^−DOTS_ERROR_ORDER, which is 1 at level 2, the first level of grating maps. The value was fitted with
+# ``bench.reproduce.grating_maps --pictures`` (docs/decisions/grating_maps.md). If the value is doubled, levels are too
+# small on curved bodies, and errors exceed the tolerance.
 DOTS_ERROR_ORDER = 0.2
 # Safety factor for the random scatter that one tile (a pixel that is divided into cells) contributes to the error of a
 # pixel, when the level of the tile is raised. The factor was derived from an error to which four tiles contribute

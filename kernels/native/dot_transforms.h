@@ -6,41 +6,33 @@
 
 namespace warpdiff {
 
-// Return the index of the dot (a rectangle of a grating map) at a texture coordinate. The range from 0 to 1 has `count`
-// dots and is repeated.
-WARPDIFF_INLINE int dot_on_axis(float coordinate, int count)
-{
-    const bool is_inside = coordinate >= 0.0f && coordinate <= 1.0f;
-    const float fraction = is_inside ? coordinate : coordinate - wp::floor(coordinate);
-    return wp::clamp((int)(fraction * (float)count), 0, count - 1);
-}
-
-// Least share of a dot in a subpixel cell that counts. Smaller shares are rounding errors of float32.
+// Smallest share of a dot in a subpixel cell that is used. Smaller or negative shares are rounding errors of float32.
+// With a much larger value, colours would lose energy.
 constexpr float LEAST_SHARE = 1e-6f;
 
-// Polygon in a subpixel cell. `right` and `down` are positions in the cell, from −1 to 1. Lines cut off parts of it.
+// Polygon in a subpixel cell. `right` and `down` are the positions of its corners in the subpixel cell, from −1 to 1.
 struct CellPolygon {
     float right[6] = {-1.0f, 1.0f, 1.0f, -1.0f}, down[6] = {-1.0f, -1.0f, 1.0f, 1.0f};
     int count = 4;
 
-    // Cut off the part where `along` · right + `across` · down exceeds `limit`.
-    WARPDIFF_INLINE void cut(float along, float across, float limit)
+    // Cut off the part where `per_right` · right + `per_down` · down exceeds `limit`.
+    WARPDIFF_INLINE void cut(float per_right, float per_down, float limit)
     {
-        CellPolygon kept;
-        kept.count = 0;
+        CellPolygon remaining;
+        remaining.count = 0;
         for (int k = 0; k < count; ++k) {
             const int next = k + 1 < count ? k + 1 : 0;
-            const float inside = limit - along * right[k] - across * down[k];
-            const float inside_next = limit - along * right[next] - across * down[next];
-            if (inside >= 0.0f) kept.add(right[k], down[k]);
+            const float inside = limit - per_right * right[k] - per_down * down[k];
+            const float inside_next = limit - per_right * right[next] - per_down * down[next];
+            if (inside >= 0.0f) remaining.add(right[k], down[k]);
             if ((inside >= 0.0f) == (inside_next >= 0.0f)) continue;
             const float t = inside / (inside - inside_next);
-            kept.add(right[k] + t * (right[next] - right[k]), down[k] + t * (down[next] - down[k]));
+            remaining.add(right[k] + t * (right[next] - right[k]), down[k] + t * (down[next] - down[k]));
         }
-        *this = kept;
+        *this = remaining;
     }
 
-    // Append a corner. Two lines cut at most six corners from a square.
+    // Append a corner. A square that is cut by two lines has at most six corners.
     WARPDIFF_INLINE void add(float to_right, float to_down)
     {
         if (count == 6) return;
@@ -48,7 +40,7 @@ struct CellPolygon {
         down[count++] = to_down;
     }
 
-    // Return the area relative to the whole cell.
+    // Return the area of the polygon relative to the area of the subpixel cell.
     WARPDIFF_INLINE float share() const
     {
         float sum = 0.0f;
@@ -60,70 +52,75 @@ struct CellPolygon {
     }
 };
 
-// Largest distance from the middle of a subpixel cell to its edge that is computed, in dots. It is limited because
-// integers overflow far above it.
-constexpr float MOST_REACH = 1e6f;
+// Upper limit of the half extent of a subpixel cell along u or v, in dots. The limit prevents an overflow of integers
+// at 2·10⁹. A subpixel cell on more than two dots is not divided, so that the value has no other effect.
+constexpr float MOST_HALF_EXTENT = 1e6f;
 
-// Dots along one axis of a grating map that a subpixel cell overlaps. `place` is the middle of the cell, in dots from
-// the beginning of the map. `right` and `down` are the changes of this place to the sides of the cell.
+// Rows or columns of dots that a subpixel cell overlaps, from `first` to `last`. `place` is the texture coordinate of
+// the middle of the subpixel cell, in dots. `to_right` and `to_down` are the changes of `place` from the middle to the
+// right and to the lower side.
 struct DotsOfCell {
-    float right, down, place;
+    float to_right, to_down, place;
     int first, last;
 
-    WARPDIFF_INLINE DotsOfCell(float coordinate, float to_right, float to_down, int count, bool repeats)
-        : right(to_right * (float)count),
-          down(to_down * (float)count),
+    // If the map does not repeat, dots end at the texture coordinates 0 and 1.
+    WARPDIFF_INLINE DotsOfCell(float coordinate, float right, float down, int count, bool repeats)
+        : to_right(right * (float)count),
+          to_down(down * (float)count),
           place((repeats ? coordinate - wp::floor(coordinate) : coordinate) * (float)count)
     {
-        const float reach = wp::min(wp::abs(right) + wp::abs(down), MOST_REACH);
-        first = (int)wp::floor(place - reach);
-        last = (int)wp::floor(place + reach);
+        const float half_extent = wp::min(wp::abs(to_right) + wp::abs(to_down), MOST_HALF_EXTENT);
+        first = (int)wp::floor(place - half_extent);
+        last = (int)wp::floor(place + half_extent);
         if (repeats) return;
         first = wp::clamp(first, 0, count - 1);
         last = wp::clamp(last, 0, count - 1);
     }
 
-    // Cut off the part of a cell that belongs to the second of two dots.
+    // Cut off the part of a subpixel cell that belongs to the second of two dots.
     WARPDIFF_INLINE void cut(CellPolygon& cell) const
     {
-        cell.cut(right, down, (float)last - place);
+        if (last > first) cell.cut(to_right, to_down, (float)last - place);
     }
 };
 
-// Compute the shares of the area of a subpixel cell in up to four dots of a grating map. The order of the dots is: the
-// dot at the least (u, v); the next one along u; the next one along v; and the next one along both.
+// Compute the shares of the area of a subpixel cell in up to four dots of a grating map. The first share is that of the
+// dot with the smallest u and v. Then follow the next dot along u, the next dot along v, and the next dot along both.
 WARPDIFF_INLINE void divide_cell(const DotsOfCell& u, const DotsOfCell& v, float* shares)
 {
-    CellPolygon along_u, along_v;
-    if (u.last > u.first) u.cut(along_u);
-    if (v.last > v.first) v.cut(along_v);
-    const float before_u = along_u.share(), before_v = along_v.share();
-    if (v.last > v.first) v.cut(along_u);
-    const float before_both = along_u.share();
-    shares[0] = before_both;
-    shares[1] = before_v - before_both;
-    shares[2] = before_u - before_both;
-    shares[3] = 1.0f - before_u - shares[1];
+    CellPolygon before_u, before_v;
+    u.cut(before_u);
+    v.cut(before_v);
+    const float share_u = before_u.share(), share_v = before_v.share();
+    v.cut(before_u);
+    shares[0] = before_u.share();
+    shares[1] = share_v - shares[0];
+    shares[2] = share_u - shares[0];
+    shares[3] = 1.0f - share_u - shares[1];
     for (int dot = 0; dot < 4; ++dot)
         if (shares[dot] < LEAST_SHARE) shares[dot] = 0.0f;
 }
 
-// Return the remainder of a division as a number from 0 to `count` − 1.
+// Return the index of a row or column of dots in a map that repeats after `count` rows or columns.
 WARPDIFF_INLINE int repeated(int number, int count)
 {
     return (number % count + count) % count;
 }
 
 // Find the dots (rectangles of a grating map) at the hits from `begin` to `end`. The index of a dot is its row times
-// `columns` plus its column; row 0 is at v = 1. If the mesh has texture coordinates below 0 or above 1, the map
-// `repeats`.
+// `columns` plus its column; row 0 is at v = 1. Without a hit, the index is −1. The map `repeats` if the mesh has
+// texture coordinates below 0 or above 1.
 //
-// At level n of refinement, a pixel has `across` = 2ⁿ subpixel cells per side, each with one ray. The ray of a cell
-// stands for its area, a parallelogram in texture coordinates. If it overlaps one dot along an axis or two, its shares
-// in the dots are computed exactly, and the result is the dot at the least (u, v). If it overlaps more dots, it gets a
-// single dot, at a position that differs from cell to cell: rows of cells differ in the position to the right, and
-// columns of cells in the position downwards. The 4ⁿ positions of a pixel's rays along an axis are then all different
-// (multi-jittered sampling, Chiu et al. 1994).
+// At level n of refinement, a pixel has `across` = 2ⁿ subpixel cells per side, each with one ray. At level 0, the
+// result is the dot at the hit, with the share 1. At higher levels, a subpixel cell is a parallelogram in texture
+// coordinates:
+//
+// - If the subpixel cell overlaps at most two dots along each axis, its shares in these dots are computed exactly. The
+//   result is the index of the dot with the smallest u and v.
+// - If the subpixel cell overlaps more dots, a single dot gets the share 1. The horizontal offset at which this dot is
+//   looked up depends on the row of the subpixel cell, and the vertical offset on its column. Thus all 4ⁿ horizontal
+//   positions in a pixel are different, and so are all vertical ones (the arrangement of multi-jittered sampling, Chiu
+//   et al. 1994, without random offsets).
 template <class Camera, class Surface, class Pixels, class Numbers, class Shares>
 WARPDIFF_INLINE void find_dots(const Camera& camera, const Surface& surface, const Pixels& pixels, int rows,
     int columns, bool repeats, int across, float least_facing, int begin, int end, Numbers& dots_out,
@@ -144,25 +141,26 @@ WARPDIFF_INLINE void find_dots(const Camera& camera, const Surface& surface, con
         const int* const corners = numbers<const int>(surface.faces) + 3LL * face[ray];
         const float* const place = numbers<const float>(pixels.place) + 2LL * ray;
         const PointUv uv(uvs, corners, place);
-        float u = uv.u, v = uv.v;
+        DotsOfCell along_u(uv.u, 0.0f, 0.0f, columns, repeats), along_v(uv.v, 0.0f, 0.0f, rows, repeats);
         if (across > 1) {
             const float* const to_view = numbers<const float>(pixels.to_view) + 3LL * ray;
-            const UvFootprint side(
+            // Changes of (u, v) from the middle of the subpixel cell to its right and to its lower side.
+            const UvFootprint to_side(
                 numbers<const float>(surface.positions), uvs, corners, place, to_view, half_cell, least_facing);
-            const DotsOfCell along_u(u, side.changes[0], side.changes[2], columns, repeats);
-            const DotsOfCell along_v(v, side.changes[1], side.changes[3], rows, repeats);
+            const float* const change = to_side.changes;
+            along_u = DotsOfCell(uv.u, change[0], change[2], columns, repeats);
+            along_v = DotsOfCell(uv.v, change[1], change[3], rows, repeats);
             if (along_u.last - along_u.first <= 1 && along_v.last - along_v.first <= 1) {
                 divide_cell(along_u, along_v, shares);
-                dot = (rows - 1 - repeated(along_v.first, rows)) * columns + repeated(along_u.first, columns);
-                continue;
+            } else {
+                const int cell = ray & (across * across - 1);
+                const float right = ((float)(cell / across) + 0.5f) * 2.0f * spacing - 1.0f;
+                const float down = ((float)(cell % across) + 0.5f) * 2.0f * spacing - 1.0f;
+                along_u = DotsOfCell(uv.u + right * change[0] + down * change[2], 0.0f, 0.0f, columns, repeats);
+                along_v = DotsOfCell(uv.v + right * change[1] + down * change[3], 0.0f, 0.0f, rows, repeats);
             }
-            const int cell = ray & (across * across - 1);
-            const float right = ((float)(cell / across) + 0.5f) * 2.0f * spacing - 1.0f;
-            const float down = ((float)(cell % across) + 0.5f) * 2.0f * spacing - 1.0f;
-            u += right * side.changes[0] + down * side.changes[2];
-            v += right * side.changes[1] + down * side.changes[3];
         }
-        dot = (rows - 1 - dot_on_axis(v, rows)) * columns + dot_on_axis(u, columns);
+        dot = (rows - 1 - repeated(along_v.first, rows)) * columns + repeated(along_u.first, columns);
     }
 }
 

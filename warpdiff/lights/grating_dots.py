@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.gbuffer import GBuffer
 
 
-# Largest number of dots whose shares in a subpixel cell are computed: two along each axis of the grating map.
+# Largest number of dots whose shares in a subpixel cell are computed: two along each axis of the grating map. A larger
+# number would require other kernels.
 MOST_DOTS = 4
 
 
@@ -60,10 +61,11 @@ class DotSamples:
         to_lights: Directions to the light in the frames of the cells, (n,) of ``wp.vec3f``.
         footprints: Footprints in the frames of the cells, (n,); empty if pixels show points.
         dots: Indices of the dots, row by row, (n,); −1 without a hit. If a subpixel cell overlaps several dots, the
-            index is that of its first dot.
+            index is that of the dot with the smallest u and v.
         shares: Shares of the area of each subpixel cell in up to four dots, (n,) of ``wp.vec4f``.
-        gains: Geometry factors, multiplied by the share of one dot in the cell, and by the dependence of a material's
-            reflectance on the angle, (n,).
+        gains: Geometry factors, multiplied by the share of one dot in the subpixel cell. If looked-up colours include
+            the reflectance at normal incidence, the factors also contain the reflectance at the angle relative to it,
+            (n,).
     """
 
     scattering_vectors: wp.array
@@ -144,9 +146,10 @@ class GratingDots:
     ) -> KernelCall:
         """Return the kernel call that writes the factors of looked-up colours of a material to ``of_dots.gains``.
 
-        The geometry factors ``gains`` are multiplied by the share of each subpixel cell in its dot ``part``. If
-        looked-up colours include a reflectance that does not depend on the angle, they are also multiplied by the
-        reflectance at the angle, divided by the included one.
+        The geometry factors ``gains`` are multiplied by the share of each subpixel cell in its dot ``part``, from 0 to
+        3. If looked-up colours include a reflectance that does not depend on the angle, the gains are also multiplied
+        by the reflectance at the angle, divided by the included one. ``scattering_vectors`` are those before
+        :meth:`transform`.
         """
         ratios = self._no_ratios
         if isinstance(material, FixedReflectance):
@@ -170,8 +173,8 @@ class GratingDots:
             surface: Index of a surface with a grating map.
             gbuffer: Hits of the rays.
             samples: Samples in the frames of the hits.
-            of_dots: Arrays for the result.
-            part: Index of the dot among those that each subpixel cell overlaps.
+            of_dots: Dots and shares from :meth:`find`, and arrays for the result, which the next call overwrites.
+            part: Index of the dot among those that each subpixel cell overlaps, from 0 to 3.
         """
         footprints = self._no_footprints if samples.footprints is None else samples.footprints
         inputs = [

@@ -429,8 +429,8 @@ class LightPass(ABC):
                 calls += self._look_up_finish(lobe, index, gains, of_rays, batch, lookup)
                 continue
             calls.append(dots.find(finish.surface, batch.gbuffer, of_dots, batch.level))
-            # A subpixel cell may overlap several dots of a grating map. Each of them is looked up, and its colour is
-            # multiplied by its share of the cell.
+            # A subpixel cell may overlap up to four dots of a grating map. The colour of each dot is looked up, and
+            # multiplied by the share of the subpixel cell in the dot.
             for part in range(MOST_DOTS if batch.level else 1):
                 own, transform = dots.transform(finish.surface, batch.gbuffer, of_rays, of_dots, part)
                 calls += [transform, *self._look_up_finish(lobe, index, gains, own, batch, lookup, part)]
@@ -451,7 +451,8 @@ class LightPass(ABC):
             own: Samples from which colours are looked up. On a grating map, they are in the frames of dots.
             batch: The rays and their sums.
             lookup: Look-up of the surface.
-            part: Index of the dot among those that each subpixel cell overlaps; None without a grating map.
+            part: Index of the dot among those that each subpixel cell overlaps, from 0 to 3; None without a grating
+                map.
         """
         samples, context = batch.samples, self.context
         calls: list[KernelCall] = []

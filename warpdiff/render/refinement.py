@@ -66,13 +66,15 @@ class RefinementPolicy:
 
     @property
     def error_law(self) -> tuple[float, float]:
-        """Exponent and factor of the estimated errors of tiles, relative to scatter or smooth changes.
+        """Exponent and factor of estimated errors.
 
-        At level n, the estimated error of a tile is the factor times 2^(−(n − 1) exponent) times its scatter or change.
+        The error of a tile is 2^(−(level − 1) exponent) times its scatter, or times its change of colour if scatter is
+        not measured. The error of a pixel is the factor times the root sum of squares of the errors of nine tiles.
         """
         if self.is_sampled:
             return 0.0, SCATTER_FACTOR
         if self.has_dots:
+            # At level 2, the first level of grating maps, the exponent has no effect.
             return DOTS_ERROR_ORDER, SCATTER_FACTOR * 2.0**DOTS_ERROR_ORDER
         return ERROR_ORDER, ERROR_PER_CHANGES
 
