@@ -4,6 +4,7 @@
 
     python -m bench.reproduce.grating_maps --transforms
     python -m bench.reproduce.grating_maps --pictures --seed 0
+    python -m bench.reproduce.grating_maps --bodies --seed 0
     python -m bench.reproduce.grating_maps --pitches --seed 0
     python -m bench.reproduce.grating_maps --times
     python -m bench.reproduce.grating_maps --card
@@ -19,8 +20,10 @@ square patch; its turned copy runs along a diagonal and has whole periods in the
 pixels for each pixel, to which the pixel filter is applied with NumPy. Each of its pixels shows a single dot, so that
 it does not use the division of cells between dots. The camera is rolled, because edges that are parallel to pixels
 would be resolved to 1/16 pixel only. P99 of the reference's own error is 0.005 to 0.013. The maps are on a rectangular
-mesh, the card, and on close views of a tube and a snake. Errors are those of illuminated pixels that are not next to
-the edge of a mesh or shadow. ``P99 est`` is the 99th percentile of ``image.error``.
+mesh, the card. Errors are those of illuminated pixels that are not next to the edge of a mesh or shadow. ``P99 est`` is
+the 99th percentile of ``image.error``. "Bounded" is the share of bright pixels whose error is at most ``image.error``.
+
+``--bodies`` does the same on close views of a tube and a snake, with 32 × 32 pixels for each pixel of the reference.
 
 ``--pitches`` compares dots with pitch scales from 0.7 to 1.4 under averaged windows, of which colours are interpolated
 between tables, with pictures in which all dots have the pitch scale of one column. These pictures interpolate nothing.
@@ -107,9 +110,14 @@ def made(cell: wd.HeightField, shape: tuple[int, int], rng: np.random.Generator,
     return wd.GratingMap(cell, turn_deg=turn, depth_scale=rng.uniform(0.2, 1.0, shape), pitch_scale=scale)
 
 
-def filtered(mesh: Any, surface: wd.GratingMap, light: wd.Light, view: wd.View, **options: Any) -> NDArray[np.float64]:
-    """Return the XYZ of a picture whose pixels are means over 16 × 16 unrefined pixels each, by the pixel filter."""
-    factor, margin = 16, 2
+def filtered(
+    mesh: Any, surface: wd.GratingMap, light: wd.Light, view: wd.View, factor: int, **options: Any
+) -> NDArray[np.float64]:
+    """Return the XYZ of a picture whose pixels are means over unrefined pixels, by the pixel filter.
+
+    Each pixel is divided into ``factor`` × ``factor`` unrefined pixels.
+    """
+    margin = 2
     width, height = view.width + 2 * margin, view.height + 2 * margin
     half_height = math.tan(0.5 * math.radians(view.fov_y_deg)) * height / view.height
     wide = dataclasses.replace(
@@ -125,51 +133,58 @@ def filtered(mesh: Any, surface: wd.GratingMap, light: wd.Light, view: wd.View, 
     return xyz[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
 
 
+def compare(
+    name: str, mesh: Any, surface: wd.GratingMap, light: wd.Light, view: wd.View, factor: int, **options: Any
+) -> None:
+    """Print the errors of two refined pictures of a grating map, at tolerances of 0.1 and 0.03."""
+    exact = filtered(mesh, surface, light, view, factor, **options)
+    for tolerance in (0.1, 0.03):
+        image = wd.shade(mesh, surface, light, view, tolerance=tolerance, **options)
+        inside = ndimage.binary_erosion(image.illuminated & (image.coverage > 0.999), np.ones((3, 3)))
+        own, true = image.xyz[inside].astype(float), exact[inside]
+        size = np.linalg.norm(true, axis=1)
+        floor = 1e-3 * np.percentile(true[:, 1], 99.0)
+        error = np.linalg.norm(own - true, axis=1) / np.maximum(size, floor)
+        bright = true[:, 1] >= floor
+        estimated = image.error[inside]
+        print(
+            f"{name}, {surface.shape[0]} × {surface.shape[1]} dots, tolerance {tolerance:g}: "
+            f"P99 {np.percentile(error, 99):.1e}, bright {np.percentile(error[bright], 99):.1e}, "
+            f"P99 est {np.percentile(estimated, 99):.1e}, bounded {np.mean((error <= estimated)[bright]):.2f}",
+            flush=True,
+        )
+
+
 def pictures(rng: np.random.Generator) -> None:
-    """Print errors of pictures of grating maps (arrays of small gratings), rendered with adaptive pixel refinement."""
-    fingers, blazed = wd.gratings.fingers(size_um=6.4, pitch_um=0.1), wd.gratings.blazed(1.6, 0.3)
-    averaged, slanted = wd.Coherence(sigma_um=5.0), wd.DirectionalLight((0.3, 0.5, 1.0))
+    """Print errors of refined pictures of flat grating maps (arrays of small gratings)."""
     rolled = dataclasses.replace(VIEW, up=(math.sin(math.radians(7.0)), math.cos(math.radians(7.0)), 0.0))
+    fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
+    for name, cell, coherence in (
+        ("sine, source of 1°", SINE, wd.Coherence("source", angular_diameter_deg=1.0)),
+        ("fingers, source of 2°", fingers, wd.Coherence("source", angular_diameter_deg=2.0)),
+        ("fingers, averaged", fingers, wd.Coherence(sigma_um=5.0)),
+    ):
+        for shape in ((3, 4), (12, 16), (48, 64)):
+            grating_map = made(cell, shape, rng, pitch=coherence.kind == "source")
+            compare(name, wd.meshes.card(), grating_map, LIGHT, rolled, 16, coherence=coherence, strict=False)
+
+
+def bodies(rng: np.random.Generator) -> None:
+    """Print errors of refined pictures of grating maps on close views of curved bodies."""
+    fingers, blazed = wd.gratings.fingers(size_um=6.4, pitch_um=0.1), wd.gratings.blazed(1.6, 0.3)
+    light, coherence = wd.DirectionalLight((0.3, 0.5, 1.0)), wd.Coherence(sigma_um=5.0)
     tube = wd.View((0.79, -1.25, 2.35), (0.88, 0.25, -0.12), fov_y_deg=8.0, width=64, height=48)
     snake = wd.View((0.54, -0.87, 1.95), (0.43, 0.41, 0.03), fov_y_deg=5.0, width=64, height=48)
-    flat = [
-        (name, wd.meshes.card(), rolled, LIGHT, cell, coherence, shape)
-        for name, cell, coherence in (
-            ("sine, source of 1°", SINE, wd.Coherence("source", angular_diameter_deg=1.0)),
-            ("fingers, source of 2°", fingers, wd.Coherence("source", angular_diameter_deg=2.0)),
-            ("fingers, averaged", fingers, averaged),
-        )
-        for shape in ((3, 4), (12, 16), (48, 64))
-    ]
-    curved = [
-        ("tube, fingers, averaged", wd.meshes.tube(), tube, slanted, fingers, averaged, (24, 60)),
-        ("tube, fingers, averaged", wd.meshes.tube(), tube, slanted, fingers, averaged, (100, 400)),
-        ("tube, sine, averaged", wd.meshes.tube(), tube, slanted, SINE, averaged, (24, 60)),
-        ("snake, fingers, averaged", wd.meshes.snake(), snake, slanted, fingers, averaged, (20, 200)),
-        ("snake, blazed, averaged", wd.meshes.snake(), snake, slanted, blazed, averaged, (40, 300)),
-    ]
-    for name, mesh, view, light, cell, coherence, shape in [*flat, *curved]:
-        grating_map = made(cell, shape, rng, pitch=coherence.kind == "source")
-        if view is not rolled:
-            turn = rng.uniform(0.0, 180.0, shape)
-            grating_map = wd.GratingMap(cell, turn_deg=turn, depth_scale=grating_map.depth_scale)
-        options: dict[str, Any] = {"coherence": coherence, "strict": False, "pigment": 0.0}
-        exact = filtered(mesh, grating_map, light, view, **options)
-        for tolerance in (0.1, 0.03):
-            image = wd.shade(mesh, grating_map, light, view, tolerance=tolerance, **options)
-            inside = ndimage.binary_erosion(image.illuminated & (image.coverage > 0.999), np.ones((3, 3)))
-            own, true = image.xyz[inside].astype(float), exact[inside]
-            size = np.linalg.norm(true, axis=1)
-            floor = 1e-3 * np.percentile(true[:, 1], 99.0)
-            error = np.linalg.norm(own - true, axis=1) / np.maximum(size, floor)
-            bright = true[:, 1] >= floor
-            estimated = image.error[inside]
-            print(
-                f"{name}, {shape[0]} × {shape[1]} dots, tolerance {tolerance:g}: P99 {np.percentile(error, 99):.1e}"
-                f", bright {np.percentile(error[bright], 99):.1e}, P99 est {np.percentile(estimated, 99):.1e}, "
-                f"bounded {np.mean(error <= estimated):.2f}",
-                flush=True,
-            )
+    for name, mesh, view, cell, shape in (
+        ("tube, fingers", wd.meshes.tube(), tube, fingers, (24, 60)),
+        ("tube, fingers", wd.meshes.tube(), tube, fingers, (100, 400)),
+        ("tube, sine", wd.meshes.tube(), tube, SINE, (24, 60)),
+        ("snake, fingers", wd.meshes.snake(), snake, fingers, (20, 200)),
+        ("snake, blazed", wd.meshes.snake(), snake, blazed, (40, 300)),
+    ):
+        turn, depth = rng.uniform(0.0, 180.0, shape), rng.uniform(0.2, 1.0, shape)
+        grating_map = wd.GratingMap(cell, turn_deg=turn, depth_scale=depth)
+        compare(name, mesh, grating_map, light, view, 32, coherence=coherence, strict=False, pigment=0.0)
 
 
 def pitches(rng: np.random.Generator) -> None:
@@ -293,7 +308,7 @@ def card() -> None:
 def main() -> None:
     """Run the parts that the command line options select."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("transforms", "pictures", "pitches", "times", "card"):
+    for name in ("transforms", "pictures", "bodies", "pitches", "times", "card"):
         parser.add_argument(f"--{name}", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -304,6 +319,8 @@ def main() -> None:
             transforms(rng)
         if options.pictures:
             pictures(rng)
+        if options.bodies:
+            bodies(rng)
         if options.pitches:
             pitches(rng)
         if options.times:
