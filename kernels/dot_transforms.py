@@ -46,7 +46,8 @@ def find_dots(
     """Find the first dot of the subpixel cell of each ray, the dot with the smallest u and v, and the cell's shares.
 
     A dot is a rectangle of a grating map. Its index is its row times ``columns`` plus its column; −1 without a hit. The
-    map ``repeats`` if the mesh has texture coordinates beyond 0 to 1. A pixel has ``across`` subpixel cells per side.
+    map ``repeats`` if its surface has texture coordinates beyond 0 to 1. A pixel has ``across`` subpixel cells per
+    side.
 
     ``shares_out`` are the shares of the subpixel cell in the first dot, in the next dot along u, in the next dot along
     v, and in the next dot along both. A subpixel cell that overlaps more dots has a single one, with the share 1.

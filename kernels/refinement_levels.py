@@ -57,12 +57,6 @@ ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # computing time: if it is doubled, pictures with lights whose directions are drawn at random require four times as many
 # samples.
 SCATTER_FACTOR = 1.5
-# On grating maps, subpixel cells are divided between dots. The error of a tile then falls faster with the number n of
-# subpixel cells along an axis than the standard deviation of the mean of independent samples does: by a further factor
-# (n/4)^−DOTS_ERROR_ORDER, which is 1 at level 2, the first level of grating maps. The value was fitted with
-# ``bench.reproduce.grating_maps --pictures`` (docs/decisions/grating_maps.md). If the value is doubled, levels are too
-# small on curved bodies, and errors exceed the tolerance.
-DOTS_ERROR_ORDER = 0.2
 # Safety factor for the random scatter that one tile (a pixel that is divided into cells) contributes to the error of a
 # pixel, when the level of the tile is raised. The factor was derived from an error to which four tiles contribute
 # equally, as a root sum of squares. It was tested on the meshes of a snake and a tube

@@ -23,6 +23,7 @@ EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
 # scatter of nine tiles.
 LEVEL_OF_OWN_SCATTER = wp.constant(wp.int32(3))
 SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
+SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
 FILTER_SHARES = wp.constant(wp.vec3f(*refinement_levels.FILTER_SHARES))
 
 
@@ -250,16 +251,15 @@ def mean_scatter(
 def raise_levels(
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
     colours: wp.array(dtype=wp.vec3f), errors: wp.array(dtype=wp.float32), width: wp.int32, height: wp.int32,
-    floor: wp.array(dtype=wp.float32), tolerance: wp.float32, level: wp.int32, most: wp.int32,
-    error_order: wp.float32, error_factor: wp.float32, first: wp.int32, run: wp.int32,
+    floor: wp.array(dtype=wp.float32), tolerance: wp.float32, level: wp.int32, most: wp.int32, first: wp.int32,
+    run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Raise the levels of tiles (subdivided pixels) at ``level`` that cause errors of pixels above the tolerance.
 
-    The new levels follow from a prediction of how fast errors decrease with more cells. ``errors`` has the estimated
-    errors of pixels. ``error_order`` and ``error_factor`` are those of :func:`resolve_pixels`. The other arguments are
-    those of :func:`select_levels`. ``colours`` and ``errors`` are resolved from the cells of tiles at levels up to
-    ``level``.
+    The new levels follow from a prediction of how fast the random scatter decreases with more cells. ``errors`` has the
+    estimated errors of pixels. The other arguments are those of :func:`select_levels`. ``colours`` and ``errors`` are
+    resolved from the cells of tiles at levels up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -273,7 +273,6 @@ def raise_levels(
         scatter = sums.changes[compact_index(sums.ranks, pixel)]
         if level < LEVEL_OF_OWN_SCATTER:
             scatter = mean_scatter(sums, levels_out, row, column, width, height)
-        per_scatter = error_factor * wp.pow(0.5, error_order * wp.float32(level - 1))
         excess = wp.float32(1.0)
         for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
@@ -282,9 +281,9 @@ def raise_levels(
                     # More cells of this tile (subdivided pixel) cannot reduce the part of the error that the eight
                     # tiles around it cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
-                    error = wp.min(errors[there], SCATTER_CAUTION * per_scatter * share * scatter)
+                    error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))
-        steps = wp.int32(wp.floor(wp.log2(excess) / (1.0 + error_order) + 0.5))
+        steps = wp.int32(wp.floor(wp.log2(excess) + 0.5))
         levels_out[pixel] = wp.uint8(wp.clamp(level + steps, level, most))
 
 

@@ -56,6 +56,10 @@ struct CellPolygon {
 // at 2·10⁹. A subpixel cell on more than two dots is not divided, so that the value has no other effect.
 constexpr float MOST_HALF_EXTENT = 1e6f;
 
+// Share of the extent of a subpixel cell that counts. A dot that is only touched does not count as overlapped, so that
+// cells of exactly two dots are divided in spite of rounding errors.
+constexpr float COUNTED_EXTENT = 1.0f - 1e-5f;
+
 // Rows or columns of dots that a subpixel cell overlaps, from `first` to `last`. `place` is the texture coordinate of
 // the middle of the subpixel cell, in dots. `to_right` and `to_down` are the changes of `place` from the middle to the
 // right and to the lower side.
@@ -69,7 +73,7 @@ struct DotsOfCell {
           to_down(down * (float)count),
           place((repeats ? coordinate - wp::floor(coordinate) : coordinate) * (float)count)
     {
-        const float half_extent = wp::min(wp::abs(to_right) + wp::abs(to_down), MOST_HALF_EXTENT);
+        const float half_extent = wp::min(COUNTED_EXTENT * (wp::abs(to_right) + wp::abs(to_down)), MOST_HALF_EXTENT);
         first = (int)wp::floor(place - half_extent);
         last = (int)wp::floor(place + half_extent);
         if (repeats) return;

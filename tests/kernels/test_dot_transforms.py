@@ -111,6 +111,18 @@ def test_maps_that_do_not_repeat_end_at_the_border(rng: np.random.Generator) -> 
     assert np.all(shares[:, 0] < 1.0)
 
 
+def test_cells_of_exactly_two_dots_are_divided(rng: np.random.Generator) -> None:
+    """A subpixel cell that has the size of two dots along each axis has a quarter of its area in each of four dots."""
+    across = 2
+    camera, mesh, pixels, _ = _scene(1, rng)
+    pixels.hit.fill_(1)
+    pixels.face.fill_(0)
+    # The pixel is 0.5 wide and 0.25 high, so that its cells are 0.25 wide and 0.125 high. The middle is at an edge.
+    pixels.place = wp.array(np.array([[1.0 - 3.25 / 8.0 - 3.5 / 8.0, 3.25 / 8.0]]), dtype=wp.vec2f, device="cpu")
+    _, shares = _found(camera, mesh, pixels, (16, 8), across)
+    np.testing.assert_allclose(shares, 0.25, atol=1e-4)
+
+
 def test_cells_on_many_dots_look_them_up_at_different_positions(rng: np.random.Generator) -> None:
     """A pixel is divided into 4 × 4 cells, each of which overlaps many dots (small rectangles) of a grating map.
 

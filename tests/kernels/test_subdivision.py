@@ -87,13 +87,12 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
     assert changes.numpy()[5] == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("level", "order"), [(2, 0.0), (3, 0.0), (3, 0.5)])
-def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tolerance(level, order, rng):
+@pytest.mark.parametrize("level", [2, 3])
+def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tolerance(level, rng):
     """A pixel at level n has 2ⁿ × 2ⁿ cells. Its level must rise if the scatter causes an error above the tolerance.
 
-    The scatter is the standard deviation of the pixel's mean over random directions to the light. The error may fall
-    faster with the number of cells than the scatter, by ``order``. Only the levels of pixels that were shaded last,
-    which are at ``level``, may change.
+    The scatter is the standard deviation of the pixel's mean over random directions to the light. Only the levels of
+    pixels that were shaded last, which are at ``level``, may change.
     """
     height, width, floor, tolerance, most = 7, 9, 0.5, 0.05, 5
     shaded = rng.choice([level - 1, level], (height, width), p=[0.3, 0.7])
@@ -106,8 +105,8 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
     levels = array(shaded.ravel().astype(np.uint8), wp.uint8)
     inputs = [
         sums, array([], wp.int32), array(marks.ravel(), wp.uint8), array(colours.reshape(-1, 3), wp.vec3f),
-        array(errors.ravel(), wp.float32), width, height, array([floor], wp.float32), tolerance, level, most, order,
-        refinement_levels.SCATTER_FACTOR, 0, height * width,
+        array(errors.ravel(), wp.float32), width, height, array([floor], wp.float32), tolerance, level, most, 0,
+        height * width,
     ]  # fmt: skip
     launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
     shares = np.outer(refinement_levels.FILTER_SHARES, refinement_levels.FILTER_SHARES)
@@ -119,14 +118,14 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
         if level == 2:
             values, weights = np.array([(scatter[y, x], share) for y, x, share in near]).T
             own = np.sqrt(np.average(values**2, weights=weights))
-        own *= refinement_levels.SCATTER_CAUTION * refinement_levels.SCATTER_FACTOR * 2.0 ** (-order * (level - 1))
+        own *= refinement_levels.SCATTER_CAUTION * refinement_levels.SCATTER_FACTOR
         excesses = [
             min(errors[y, x], share * own) / max(np.linalg.norm(colours[y, x]), floor) / tolerance
             for y, x, share in near
             if marks[y, x]
         ]
         excess = max(excesses, default=0.0)
-        expected[row, column] = min(level + int(np.floor(np.log2(max(excess, 1.0)) / (1.0 + order) + 0.5)), most)
+        expected[row, column] = min(level + int(np.floor(np.log2(max(excess, 1.0)) + 0.5)), most)
     assert {level - 1, level, 4, 5} <= set(expected.ravel())
     np.testing.assert_array_equal(levels.numpy().reshape(height, width), expected)
 
@@ -142,8 +141,7 @@ def test_the_level_of_a_tile_in_the_first_column_ignores_the_end_of_the_row_abov
     levels = array(np.full(8, 3), wp.uint8)
     inputs = [
         sums, array([], wp.int32), array(np.arange(8) == 3, wp.uint8), array(np.ones((8, 3)), wp.vec3f),
-        array(np.full(8, 10.0), wp.float32), 4, 2, array([0.5], wp.float32), 0.01, 3, 6, 0.0, 1.5,
-        0, 8,
+        array(np.full(8, 10.0), wp.float32), 4, 2, array([0.5], wp.float32), 0.01, 3, 6, 0, 8,
     ]  # fmt: skip
     launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
     rises = levels.numpy().reshape(2, 4) > 3

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from grating_maps import LIGHT, VIEW, card, error_of, parts_of
 
 import warpdiff as wd
@@ -158,6 +159,26 @@ def test_bright_dots_beside_dark_ones_are_found() -> None:
     image = wd.shade(card(), grating_map, LIGHT, view, tolerance=0.05, **options)
     exact = wd.shade(card(), grating_map, LIGHT, view, tolerance=1e-2, samples_per_pixel=256, **options)
     assert np.percentile(error_of(image, exact.xyz), 97.0) < 0.05
+
+
+def test_the_border_of_a_map_does_not_depend_on_coordinates_of_other_parts() -> None:
+    """A map repeats only if its own part has texture coordinates beyond 0 to 1.
+
+    If it repeated, subpixel cells at the border would contain light of the dots on the opposite side.
+    """
+    grating_map = wd.GratingMap(SINE, turn_deg=90.0, depth_scale=np.array([[1.0, 0.0, 0.0, 0.0]]))
+    surfaces = {"map": wd.Surface(grating_map, coherence=WIDE_SOURCE), "other": None}
+    pictures = []
+    for most in (1.0, 1.5):
+        scene = trimesh.Scene()
+        for name, left, to in (("map", 0.0, 1.0), ("other", 1.2, most)):
+            part = card(left=left, right=left + 1.0)
+            part.visual.uv = to * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+            scene.add_geometry(part, geom_name=name, node_name=name)
+        image = wd.shade(scene, surfaces, LIGHT, VIEW, samples_per_pixel=16, refine=False, strict=False, tolerance=0.1)
+        pictures.append(image.xyz)
+    assert pictures[0].max() > 0.0
+    np.testing.assert_array_equal(*pictures)
 
 
 def test_default_coherence_of_maps_is_a_source() -> None:

@@ -27,11 +27,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
+    from warpdiff.scene.mesh_import import Surface
 
 
 # Largest number of dots whose shares in a subpixel cell are computed: two along each axis of the grating map. A larger
 # number would require other kernels.
 MOST_DOTS = 4
+# Distance beyond 0 and 1 from which on texture coordinates count as those of a map that repeats. Smaller distances are
+# rounding errors of files. With a value of 1, maps that repeat would end at their border.
+_ROUNDING_OF_UVS = 1e-4
 
 
 class LookupSamples(NamedTuple):
@@ -103,6 +107,16 @@ def material_of_dots(material: Material | None, grating_map: GratingMap | None) 
     return FixedReflectance.of(material)
 
 
+def _repeats(mesh: Surface, surface_of_faces: NDArray[np.int32], surface: int) -> bool:
+    """Whether the map of a surface repeats, because its faces have texture coordinates below 0 or above 1.
+
+    ``surface_of_faces`` is empty if all faces have the same surface.
+    """
+    faces = mesh.faces[surface_of_faces == surface] if len(surface_of_faces) else mesh.faces
+    uvs = mesh.uvs[faces]
+    return bool(uvs.size and (uvs.min() < -_ROUNDING_OF_UVS or uvs.max() > 1.0 + _ROUNDING_OF_UVS))
+
+
 class GratingDots:
     """Dots of all surfaces with a grating map (a height field that each dot rotates and scales), on the device."""
 
@@ -118,8 +132,7 @@ class GratingDots:
         self._ratios: dict[Material, wp.array] = {}
         self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
         self._no_ratios = wp.empty(0, dtype=wp.float32, device=device)
-        uvs = rays.surface.uvs
-        self._repeats = bool(uvs.min() < 0.0 or uvs.max() > 1.0)
+        self._repeats = {surface: _repeats(rays.surface, surface_of_faces, surface) for surface in maps}
         self._shapes = {surface: grating_map.shape for surface, grating_map in maps.items()}
         self._transforms = {
             surface: wp.array(grating_map.transforms, dtype=wp.vec4f, device=device)
@@ -191,8 +204,8 @@ class GratingDots:
         ``level`` is the level of the cells; at level 0, there is one ray per pixel, which has a single dot.
         """
         inputs = [
-            self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface], self._repeats,
-            1 << level,
+            self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface],
+            self._repeats[surface], 1 << level,
         ]  # fmt: skip
         return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots, of_dots.shares], in_runs=True)
 

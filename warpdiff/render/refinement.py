@@ -19,7 +19,7 @@ import warp as wp
 from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import dot_transforms, pixel_contrast, refinement_levels, subdivision
-from warpdiff.kernels.refinement_levels import DOTS_ERROR_ORDER, ERROR_ORDER, ERROR_PER_CHANGES, SCATTER_FACTOR
+from warpdiff.kernels.refinement_levels import ERROR_ORDER, ERROR_PER_CHANGES, SCATTER_FACTOR
 from warpdiff.kernels.structs import Sampling
 from warpdiff.render import pixel_filter
 from warpdiff.render.tile_buffers import BufferKind
@@ -63,20 +63,6 @@ class RefinementPolicy:
     def measures_scatter(self) -> bool:
         """Whether errors are estimated from the noise of the cells' colours, not from smooth changes over a pixel."""
         return self.is_sampled or self.has_dots
-
-    @property
-    def error_law(self) -> tuple[float, float]:
-        """Exponent and factor of estimated errors.
-
-        The error of a tile is 2^(−(level − 1) exponent) times its scatter, or times its change of colour if scatter is
-        not measured. The error of a pixel is the factor times the root sum of squares of the errors of nine tiles.
-        """
-        if self.is_sampled:
-            return 0.0, SCATTER_FACTOR
-        if self.has_dots:
-            # At level 2, the first level of grating maps, the exponent has no effect.
-            return DOTS_ERROR_ORDER, SCATTER_FACTOR * 2.0**DOTS_ERROR_ORDER
-        return ERROR_ORDER, ERROR_PER_CHANGES
 
     @property
     def subdivides(self) -> bool:
@@ -200,7 +186,7 @@ class LightRefinement:
         rays = self.light_pass.context.rays
         inputs = [
             group.sums, group.pixels, marks, rays.width, rays.height,
-            *self.policy.error_law,
+            *((0.0, SCATTER_FACTOR) if self.policy.measures_scatter else (ERROR_ORDER, ERROR_PER_CHANGES)),
         ]  # fmt: skip
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
@@ -216,7 +202,6 @@ class LightRefinement:
         ]  # fmt: skip
         if policy.measures_scatter:
             inputs.insert(4, self.sums.errors)
-            inputs += policy.error_law
             return KernelCall(subdivision.raise_levels, inputs, [group.levels], in_runs=True)
         inputs.append(policy.silhouette_level)
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
