@@ -23,7 +23,7 @@ would be resolved to 1/16 pixel only. P99 of the reference's own error is 0.005 
 mesh, the card. Errors are those of illuminated pixels that are not next to the edge of a mesh or shadow. ``P99 est`` is
 the 99th percentile of ``image.error``. "Bounded" is the share of bright pixels whose error is at most ``image.error``.
 
-``--bodies`` does the same on close views of a tube and a snake, with 32 × 32 pixels for each pixel of the reference.
+``--bodies`` does the same on close views of a tube and a snake, with 24 × 24 pixels for each pixel of the reference.
 
 ``--pitches`` compares dots with pitch scales from 0.7 to 1.4 under averaged windows, of which colours are interpolated
 between tables, with pictures in which all dots have the pitch scale of one column. These pictures interpolate nothing.
@@ -184,7 +184,7 @@ def bodies(rng: np.random.Generator) -> None:
     ):
         turn, depth = rng.uniform(0.0, 180.0, shape), rng.uniform(0.2, 1.0, shape)
         grating_map = wd.GratingMap(cell, turn_deg=turn, depth_scale=depth)
-        compare(name, mesh, grating_map, light, view, 32, coherence=coherence, strict=False, pigment=0.0)
+        compare(name, mesh, grating_map, light, view, 24, coherence=coherence, strict=False, pigment=0.0)
 
 
 def pitches(rng: np.random.Generator) -> None:
