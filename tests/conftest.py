@@ -210,3 +210,13 @@ def at_angle(theta_deg: float | np.ndarray) -> np.ndarray:
     """Return unit vectors in the xz-plane at the given angles from the normal; positive angles point towards +x."""
     theta = np.radians(theta_deg)
     return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
+
+
+@pytest.fixture
+def unreadable_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let reads of whole files fail with an error of the operating system, as on a damaged disk."""
+
+    def refuse(_: object) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)

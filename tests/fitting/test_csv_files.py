@@ -80,14 +80,10 @@ def test_missing_files_and_files_of_two_kinds_are_refused(tmp_path):
         read(tmp_path, both + "0,0,0,0,550,0.5,0.4,0.5,0.3\n")
 
 
-def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("unreadable_files")
+def test_errors_of_the_system_name_the_file(tmp_path):
     path = tmp_path / "measured.csv"
     path.touch()
-
-    def refuse(_):
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
     with pytest.raises(OSError, match=r"path: '.*measured\.csv' cannot be read: Input/output error"):
         wd.Measured.from_csv(path)
 

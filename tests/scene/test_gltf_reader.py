@@ -478,13 +478,9 @@ def test_texts_that_are_no_json_are_refused(tmp_path):
             prepare_surface(path)
 
 
-def test_errors_of_the_system_name_the_file(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("unreadable_files")
+def test_errors_of_the_system_name_the_file(tmp_path):
     path = tmp_path / "square.glb"
     path.touch()
-
-    def refuse(_):
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
     with pytest.raises(OSError, match=r"mesh: '.*square\.glb' cannot be read: Input/output error"):
         prepare_surface(path)
