@@ -52,17 +52,18 @@ struct CellPolygon {
     }
 };
 
-// Upper limit of the half extent of a subpixel cell along u or v, in dots. The limit prevents an overflow of integers
-// at 2·10⁹. A subpixel cell on more than two dots is not divided, so that the value has no other effect.
+// Upper limit of the half extent of a subpixel cell along u or v, in dots. Indices of dots are 32-bit integers, which
+// overflow at about 2·10⁹. A subpixel cell on more than two dots is not divided. The exact limit therefore has no
+// effect.
 constexpr float MOST_HALF_EXTENT = 1e6f;
 
-// Share of the extent of a subpixel cell that counts. A dot that is only touched does not count as overlapped, so that
-// cells of exactly two dots are divided in spite of rounding errors.
+// Factor by which the extent of a subpixel cell is reduced, so that a dot that is only touched does not count. Without
+// the factor, rounding errors could make a subpixel cell of exactly two dots seem to overlap three.
 constexpr float COUNTED_EXTENT = 1.0f - 1e-5f;
 
 // Rows or columns of dots that a subpixel cell overlaps, from `first` to `last`. `place` is the texture coordinate of
-// the middle of the subpixel cell, in dots. `to_right` and `to_down` are the changes of `place` from the middle to the
-// right and to the lower side.
+// the middle of the subpixel cell, in dots. `to_right` is the change of `place` from the middle to the right side of
+// the subpixel cell, and `to_down` the change to its lower side.
 struct DotsOfCell {
     float to_right, to_down, place;
     int first, last;
@@ -121,10 +122,10 @@ WARPDIFF_INLINE int repeated(int number, int count)
 //
 // - If the subpixel cell overlaps at most two dots along each axis, its shares in these dots are computed exactly. The
 //   result is the index of the dot with the smallest u and v.
-// - If the subpixel cell overlaps more dots, a single dot gets the share 1. The horizontal offset at which this dot is
-//   looked up depends on the row of the subpixel cell, and the vertical offset on its column. Thus all 4ⁿ horizontal
-//   positions in a pixel are different, and so are all vertical ones (the arrangement of multi-jittered sampling, Chiu
-//   et al. 1994, without random offsets).
+// - If the subpixel cell overlaps more dots, a single dot gets the share 1. This dot is looked up at one point of the
+//   subpixel cell. The horizontal offset of the point depends on the row of the subpixel cell, and its vertical offset
+//   on the column. Thus all 4ⁿ horizontal positions in a pixel are different, and so are all vertical ones (the
+//   arrangement of multi-jittered sampling, Chiu et al. 1994, without random offsets).
 template <class Camera, class Surface, class Pixels, class Numbers, class Shares>
 WARPDIFF_INLINE void find_dots(const Camera& camera, const Surface& surface, const Pixels& pixels, int rows,
     int columns, bool repeats, int across, float least_facing, int begin, int end, Numbers& dots_out,
