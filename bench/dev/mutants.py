@@ -153,7 +153,13 @@ class Run:
         self._executed = {name for test in self._tests.values() for name in test["names"]}
         self._uses = dict(self._used_names())
         self._log.touch()
-        self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
+        lines = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
+        self._by_identity = {record["identity"]: record for record in lines}
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """Result of each fault that was tried; of a fault that was tried twice, the later result."""
+        return list(self._by_identity.values())
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
         """Yield the name of each function, class and variable of the library, with the names that its definition uses.
@@ -174,7 +180,8 @@ class Run:
         In each group, fast tests come first. The list ends when a limit of the total time is reached. Apart from the
         module's own tests, the list has all tests that execute the changed definition. The execution of constants,
         structs and functions of kernels is not recorded. For a fault in one of these, the list has the tests that
-        execute code which uses it.
+        execute code which uses it, and all tests of files that name the changed module, because kernels of tests call
+        such functions, too.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:
@@ -182,14 +189,22 @@ class Run:
             newer = {name for name, names in self._uses.items() if not names.isdisjoint(used)} - reached
             reached = reached | newer
         folder = f"tests/{'kernels' if mutant.package == 'native' else mutant.package}/"
+        stem = Path(mutant.path).stem
+        texts = {path: path.read_text(encoding="utf-8") for path in (self.tree / folder).glob("test_*.py")}
+        naming = {f"{folder}{path.name}" for path, text in texts.items() if re.search(rf"\b{stem}\b", text)}
         ranked = []
         for name, test in self._tests.items():
-            is_own = name.startswith(f"{folder}test_{Path(mutant.path).stem}.py")
-            if is_own or not reached.isdisjoint(test["names"]):
-                ranked.append((not is_own, not name.startswith(folder), test["seconds"], name))
+            is_own, is_naming = name.startswith(f"{folder}test_{stem}.py"), name.partition("::")[0] in naming
+            if is_own or is_naming or not reached.isdisjoint(test["names"]):
+                ranked.append((not is_own, not is_naming, not name.startswith(folder), test["seconds"], name))
         ranked.sort()
         ends = accumulate(seconds for *_, seconds, _ in ranked)
         return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]
+
+    def has_result(self, mutant: Mutant, *, again: bool) -> bool:
+        """Whether the fault was tried before. With ``again``, only detected faults count as tried."""
+        record = self._by_identity.get(mutant.identity)
+        return record is not None and not (again and record["result"] == "survived")
 
     def test(self, mutant: Mutant) -> None:
         """Make the fault in the copy, run the tests for it, record the result, and undo the fault."""
@@ -207,7 +222,7 @@ class Run:
             "result": result, "package": mutant.package, "place": f"{mutant.path}:{mutant.line}", "changed": changed,
             "tests": len(tests), "seconds": round(time.perf_counter() - begin, 1), "identity": mutant.identity,
         }  # fmt: skip
-        self.records.append(record)
+        self._by_identity[mutant.identity] = record
         with self._log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(record, ensure_ascii=False) + "\n")
         print(self.commit[:10], *record.values(), flush=True)
@@ -246,6 +261,9 @@ def main() -> None:
     )
     parser.add_argument("--headers", action="store_true", help="make the header faults instead")
     parser.add_argument(
+        "--again", action="store_true", help="try undetected changes of an interrupted or earlier run again"
+    )
+    parser.add_argument(
         "--minutes", type=float, default=1e9, help="time after which no change begins (default: no limit)"
     )
     parser.add_argument(
@@ -269,8 +287,7 @@ def main() -> None:
     ]
     for mutants in zip_longest(*draws):
         for run, mutant in zip(runs, mutants, strict=True):
-            is_new = mutant and all(record["identity"] != mutant.identity for record in run.records)
-            if is_new and time.monotonic() < end:
+            if mutant and not run.has_result(mutant, again=options.again) and time.monotonic() < end:
                 run.test(mutant)
     for run in runs:
         print(f"\nCommit {run.commit}, seed {seed}\n\n{table(run.records)}")

@@ -91,3 +91,20 @@ def test_faults_of_a_header_run_tests_of_the_kernels_that_include_it(tmp_path):
     run._uses = dict(run._used_names())
     fault = mutant_sites.Mutant("native", "kernels/native/inner.h", 0, "", "", 1, ("inner.h",), "")
     assert run.tests_of(fault) == ["tests/traced.py"]
+
+
+def test_functions_of_kernels_run_the_tests_of_files_that_name_their_module(tmp_path):
+    """Kernels of tests call such functions, which is not recorded. These tests come before those of other files."""
+    (tmp_path / "kernels").mkdir()
+    (tmp_path / "kernels/a.py").write_text("def helper():\n    return 1\n")
+    folder = tmp_path / "tests/kernels"
+    folder.mkdir(parents=True)
+    (folder / "test_b.py").write_text("from kernels import a\n")
+    (folder / "test_c.py").write_text("from kernels import ab\n")
+    run = mutants.Run.__new__(mutants.Run)
+    run.tree, run._most_s, run._executed = tmp_path, 10.0, {"traced"}
+    names = [f"tests/kernels/test_{letter}.py::test" for letter in "bc"]
+    run._tests = {name: {"seconds": 1.0, "names": ["traced"]} for name in names}
+    run._uses = dict(run._used_names())
+    fault = mutant_sites.Mutant("kernels", "kernels/a.py", 0, "1", "0", 2, ("helper",), "")
+    assert run.tests_of(fault) == names[:1]
