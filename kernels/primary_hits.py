@@ -44,27 +44,24 @@ def to_unit(bits: wp.uint32) -> wp.float64:
 
 
 @wp.func
-def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
-    """Return the position of a ray in a pixel, (right, down) of the centre [pixels].
+def pixel_offset(sample: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
+    """Return the position of one of several rays in a pixel, (right, down) of the centre [pixels].
 
     Offsets have the distribution of the pixel filter, a truncated Gaussian, so that all samples have equal weights.
     Samples follow the R2 sequence, shifted for each pixel by a hash (Cranley-Patterson rotation). The sequence is
     computed in 32-bit integers, which are exact at any index.
     """
-    result = wp.vec2d()
-    if samples > 1:
-        index = wp.uint32(sample)
-        rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(seed)))
-        rotation_y = scramble(rotation_x + GOLDEN)
-        radial = to_unit(index * R2_X + rotation_x)
-        angular = to_unit(index * R2_Y + rotation_y)
-        # A Gaussian with the standard deviation σ has the share 1 − exp(−r² / (2 σ²)) of its weight within the radius
-        # r, at which it is truncated. Only this share of its cumulative distribution is used.
-        inside = wp.float64(1.0) - wp.exp(CUT_EXPONENT)
-        radius = SIGMA * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
-        angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
-        result = wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
-    return result
+    index = wp.uint32(sample)
+    rotation_x = scramble(wp.uint32(pixel) ^ scramble(wp.uint32(seed)))
+    rotation_y = scramble(rotation_x + GOLDEN)
+    radial = to_unit(index * R2_X + rotation_x)
+    angular = to_unit(index * R2_Y + rotation_y)
+    # A Gaussian with the standard deviation σ has the share 1 − exp(−r² / (2 σ²)) of its weight within the radius r, at
+    # which it is truncated. Only this share of its cumulative distribution is used.
+    inside = wp.float64(1.0) - wp.exp(CUT_EXPONENT)
+    radius = SIGMA * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
+    angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
+    return wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
 
 
 # Number of subpixel cells of a pixel at the finest level of refinement.
@@ -159,12 +156,12 @@ def intersect_known_faces(
 
 @wp.kernel
 def place_samples(
-    sample: wp.int32, samples: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
+    sample: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
     offsets_out: wp.array(dtype=wp.vec2d),
 ):  # fmt: skip
     """Compute the position of one of several rays within each pixel, by ``pixel_offset``."""
     for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
+        offsets_out[pixel] = pixel_offset(sample, seed, pixel)
 
 
 @wp.kernel

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 import warp as wp
 from conftest import hemisphere, relative_errors
+from scipy.stats import truncnorm
 
 import warpdiff as wd
 from warpdiff.device.kernel_calls import launch_pipeline
+from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.request.directions import DirectionRange
@@ -83,3 +85,11 @@ def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footp
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2
     assert np.count_nonzero(np.any(plain, axis=1)) > COUNT // 2
+
+
+@pytest.mark.parametrize("deviations", [2.25, 2.5, 3.0, 5.0])
+def test_a_truncated_normal_distribution_has_the_variance_1(deviations):
+    """The variance before the truncation must give the variance 1 after it, by SciPy's truncated distribution."""
+    variance = colour_lookup.variance_before(deviations)
+    end = deviations / np.sqrt(variance)
+    assert truncnorm(-end, end, scale=np.sqrt(variance)).var() == pytest.approx(1.0, abs=1e-6)

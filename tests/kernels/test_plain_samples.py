@@ -170,3 +170,40 @@ def test_one_of_many_lights_is_chosen_by_the_mean_roughness_of_a_footprint(rng):
         results.append(towards.numpy())
     np.testing.assert_array_equal(*results)
     assert len(np.unique(results[0][:, 0])) == 5
+
+
+def test_lights_are_chosen_with_probabilities_proportional_to_their_reflected_light(rng):
+    """A weight must be the power of the chosen light over that of the first light, divided by the probability.
+
+    The probabilities are made from Lambert's law and the microfacet distribution of the glTF specification, without
+    masking, with Schlick's Fresnel term of the view direction. All lights and all rays are in one launch of two
+    threads, which leaves out the last ray.
+    """
+    count, powers, roughness = 4096, np.array([1.0, 0.3, 2.0, 0.7]), 0.6
+    to_light, to_view = hemisphere(rng, 4, 0.2), hemisphere(rng, 1, 0.3)[0]
+    lights, pixels, materials = Lights(), Pixels(), PlainMaterials()
+    lights.places = array(np.column_stack([to_light, np.zeros(4)]), wp.vec4d)
+    lights.strengths = array(powers, wp.float64)
+    materials.rows, materials.metallic_roughness = array([0], wp.int32), array([(0.0, roughness)], wp.vec2f)
+    pixels.hit, pixels.face = wp.ones(count, wp.int32, device="cpu"), wp.zeros(count, wp.int32, device="cpu")
+    pixels.tangent, pixels.bitangent, pixels.normal = (array(np.tile(axis, (count, 1)), wp.vec3f) for axis in np.eye(3))
+    pixels.to_view, pixels.base_colour = (
+        array(np.tile(row, (count, 1)), wp.vec3f) for row in (to_view, np.full(3, 0.4))
+    )
+    footprints, tiles = array(np.full((count, 4), 1e-9), Footprint), array(np.arange(1), wp.int32)
+    towards = wp.zeros(count, wp.vec4f, device="cpu")
+    inputs = [lights, materials, pixels, footprints, tiles, 16, 64, 0, 1, 1, count // 2 - 1]
+    launch(plain_samples.choose_plain_lights, (2, 1), inputs, [towards], device="cpu")
+    result = towards.numpy().astype(float)
+    assert not result[0].any()
+    assert not result[-1].any()
+    half = to_light + to_view
+    cosine = half[:, 2] / np.linalg.norm(half, axis=1)
+    alpha2 = roughness**4
+    facets = alpha2 / (cosine**2 * (alpha2 - 1.0) + 1.0) ** 2
+    fresnel = 0.04 + 0.96 * (1.0 - to_view[2]) ** 5
+    brightness = powers * ((1.0 - fresnel) * 0.4 * to_light[:, 2] + fresnel * facets / (4.0 * to_view[2]))
+    share = brightness / brightness.sum()
+    chosen = np.argmax(result[1:-1, :3] @ to_light.T, axis=1)
+    np.testing.assert_allclose(result[1:-1, 3], (powers / powers[0] / share)[chosen], rtol=1e-4)
+    np.testing.assert_allclose(np.bincount(chosen, minlength=4) / len(chosen), share, atol=0.01)

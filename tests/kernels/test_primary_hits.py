@@ -41,7 +41,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         neighbour_extent = refinement_levels.FILTER_CUT if samples > 1 else 0.0
         find = (primary_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), neighbour_extent])
     launches = [
-        (primary_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
+        (primary_hits.place_samples, len(sampling.offsets), [sample, seed], [sampling.offsets]),
         (*find, [pixels.nearest]),
         (primary_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
         (primary_hits.make_shading_frames, count, [scene.bare, pixels], []),

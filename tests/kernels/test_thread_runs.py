@@ -4,7 +4,9 @@ On the CPU, one thread processes all indices of a slice. On a GPU, each thread p
 """
 
 import numpy as np
+import pytest
 import trimesh
+from PIL import Image
 from plain_specification import COHERENCE, WAVE, quad
 from trimesh.visual.material import PBRMaterial
 
@@ -54,11 +56,49 @@ def test_a_picture_does_not_depend_on_the_number_of_indices_per_thread(monkeypat
     view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=24, height=8)
     surfaces, lights = {"grating": WAVE, "*": None}, [disc, point, *many, sky]
     options = {"coherence": COHERENCE, "tolerance": 0.3, "strict": False}
-    plan = wd.shade(scene(), surfaces, lights, view, **options, pigment=0.5).plan
+    options |= {"pigment": 0.5, "energy": "normalised", "material": wd.Material.metal("Au")}
+    plan = wd.shade(scene(), surfaces, lights, view, **options).plan
+    del options["coherence"]
     pictures = []
     for run in (1, 3):
         monkeypatch.setattr(kernel_calls._Recorded, "run", in_runs_of(run))
-        image = wd.shade(scene(), surfaces, lights, view, plan=plan, pigment=0.5)
+        image = wd.shade(scene(), surfaces, lights, view, **options, plan=plan)
         pictures.append(image.xyz)
     assert image.illuminated.sum() > 100
+    np.testing.assert_allclose(pictures[1], pictures[0], rtol=1e-5)
+
+
+def textured_scene(rng):
+    """Return a textured metal that emits light and a grating map, side by side, half covered by a translucent pane."""
+    images = [Image.fromarray(rng.integers(60, 255, (8, 8, 4), dtype=np.uint8)) for _ in range(3)]
+    metal = PBRMaterial(
+        name="metal", baseColorTexture=images[0].convert("RGB"), metallicRoughnessTexture=images[1].convert("RGB"),
+        emissiveTexture=images[2].convert("RGB"), emissiveFactor=[0.1, 0.1, 0.1],
+    )  # fmt: skip
+    pane = PBRMaterial(name="pane", baseColorTexture=images[1], alphaMode="BLEND")
+    body = trimesh.Scene()
+    for x, name, own in ((-1.0, "metal", metal), (1.1, "map", None), (0.0, "pane", pane)):
+        part = quad(x, own)
+        part.apply_translation((0.0, 0.0, 0.5 * (name == "pane")))
+        body.add_geometry(part, geom_name=name)
+    return body
+
+
+@pytest.mark.parametrize("options", [{}, {"refine": False, "footprint": False, "samples_per_pixel": 2}])
+def test_a_picture_of_textures_and_dots_does_not_depend_on_the_number_of_indices_per_thread(options, rng, monkeypatch):
+    """Transparent faces, textures and the dots of a grating map must not depend on it, refined or not."""
+    shape = (8, 8)
+    dots = wd.GratingMap(
+        WAVE, turn_deg=rng.uniform(0.0, 180.0, shape), depth_scale=rng.uniform(0.3, 1.0, shape),
+        pitch_scale=rng.uniform(0.8, 1.2, shape),
+    )  # fmt: skip
+    lights = [wd.DirectionalLight((0.1, 0.4, 1.0)), wd.PointLight((0.5, 0.5, 3.0))]
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=16, height=6)
+    options = options | {"coherence": COHERENCE, "tolerance": 0.3, "strict": False, "pigment": 0.5}
+    surfaces, body = {"map": dots, "*": None}, textured_scene(rng)
+    pictures = []
+    for run in (1, 3):
+        monkeypatch.setattr(kernel_calls._Recorded, "run", in_runs_of(run))
+        pictures.append(wd.shade(body, surfaces, lights, view, **options).xyz)
+    assert (pictures[0].max(axis=2) > 0.0).sum() > 30
     np.testing.assert_allclose(pictures[1], pictures[0], rtol=1e-5)

@@ -102,8 +102,6 @@ def _coefficient_sum(
     # Along an axis with a single sample, the heights are constant, and only order 0 exists.
     r = r if nx > 1 else r[r == 0]
     s = s if ny > 1 else s[s == 0]
-    if r.size == 0 or s.size == 0:
-        return 0.0
     # The phase of a Fourier sum is 2π times the product of two indices over the number of samples. The modulus removes
     # whole turns from the phase, because float64 would lose digits of large phases.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)

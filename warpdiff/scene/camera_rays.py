@@ -134,7 +134,7 @@ class CameraRays:
             if not len(self._offsets):
                 self._offsets = wp.empty(self.size, dtype=wp.vec2d, device=self.options["device"])
             launch(
-                primary_hits.place_samples, self.size, [sample, samples, _SEED], [self._offsets],
+                primary_hits.place_samples, self.size, [sample, _SEED], [self._offsets],
                 slice_size=RAYS_OF_SLICE, in_runs=True, **self.options,
             )  # fmt: skip
             sampling.offsets = self._offsets
