@@ -185,10 +185,10 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths (polar angles) at a time, at the rings of one octave of |(u, v)|.
 
-        A ring is a circle. At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of
-        the same index. The frequency of blue light is in the next octave, or just beyond it. The next octave has as
-        many azimuths as this octave, or twice as many. ``sequence`` is working memory for ``length`` rows of the
-        spectrum per azimuth.
+        A ring is a circle of constant |(u, v)|. Its colours depend on the spectrum at the frequencies |(u, v)|/λ. For
+        red light, these are in the octave of frequency with the index ``octave``. For blue light, they are in the next
+        octave of frequency, or just beyond it. That octave has as many azimuths, or twice as many. ``sequence`` is
+        working memory for ``length`` rows of the spectrum per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):

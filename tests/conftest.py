@@ -171,7 +171,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
 
 def coherence_of(kind: str, sigma_um=None, angular_diameter_deg=3.0, periods=(2, 3)):
-    """Return a coherence model (limit of interference): a window, a source diameter or a number of periods."""
+    """Return a coherence model (how far light interferes): a window, a source diameter or a number of periods."""
     import warpdiff as wd
 
     if kind == "source":

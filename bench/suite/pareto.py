@@ -100,7 +100,7 @@ def style(method: str) -> tuple[str, str, str]:
 
 
 def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
-    """Return the available peers (other programs) for a coherence (limit of interference), with settings of each."""
+    """Return the available peers (other programs) for a coherence (how far light interferes), with settings of each."""
     result: dict[str, tuple[Any, list[dict[str, Any]]]] = {
         name: (SimpleNamespace(__name__=name, prepare=prepare), [{}]) for name, prepare in setting.user_peers.items()
     }
@@ -167,7 +167,7 @@ def plans(
 
 
 def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> dict[str, Any]:
-    """Measure all curves of one chart: a scene with one coherence (limit of interference)."""
+    """Measure all curves of one chart: a scene with one coherence (how far light interferes)."""
     directions, _ = scene.directions(coherence)
     device = resolve_device(setting.device)
     few = directions.subset(JUDGED // 4 if setting.quick else JUDGED)
@@ -232,7 +232,7 @@ def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setti
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure one chart per scene and coherence (limit of interference). A quick run has only one chart."""
+    """Measure one chart per scene and coherence (how far light interferes). A quick run has only one chart."""
     results = {}
     for scene in scenes(setting.data):
         for coherence in scene.coherences:

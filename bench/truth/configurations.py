@@ -1,10 +1,10 @@
 """Random calls that test plans: surface, coherence, tolerance and directions, each determined by an index and a seed.
 
 A plan has the numbers of a computation, such as wavelengths and terms of a series; the library selects it for a call.
-Coherence is the limit of interference. Combinations of coherence and tolerance occur in a fixed cycle: ``len(STRATA)``
-consecutive indices contain each combination once. All other parameters are random. Calls are lists of directions (few
-and many, shuffled and sorted), grids of directions in row order, reflectance maps, and frames of a mesh.
-``bench.truth.judge`` evaluates their errors.
+Coherence states how far light interferes. Combinations of coherence and tolerance occur in a fixed cycle:
+``len(STRATA)`` consecutive indices contain each combination once. All other parameters are random. Calls are lists of
+directions (few and many, shuffled and sorted), grids of directions in row order, reflectance maps, and frames of a
+mesh. ``bench.truth.judge`` evaluates their errors.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -220,7 +220,7 @@ def fewer(heights):
 
 
 def a_coherence(rng, kind, heightfield):
-    """Return a random limit of interference (coherence) of a kind: a window, a light source or numbers of periods."""
+    """Return a random coherence (how far light interferes) of a kind: a window, a source or numbers of periods."""
     if kind == "source":
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":

@@ -106,7 +106,7 @@ def reference_spectral(
 
     The result has the shape (n, m).
 
-    The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
+    The coherence (how far light interferes) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
@@ -175,7 +175,7 @@ def reference_reflectance(
 ):  # fmt: skip
     """Return XYZ for directions to light and viewer (n, 3) in the local frame, shape (n, 3).
 
-    The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
+    The coherence (how far light interferes) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     ior = math.inf if material is not None else ior

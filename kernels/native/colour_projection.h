@@ -31,8 +31,9 @@ struct AzimuthRows {
     }
 };
 
-// Interpolate the rows of the power spectrum on all rings (circles), halfway between two azimuths (polar angles). The
-// Lagrange polynomial through the four nearest azimuths on each side is used.
+// Interpolate the power spectrum along one azimuth (polar angle), which lies halfway between two azimuths of the table.
+// Each ring (circle) is interpolated separately, by the Lagrange polynomial through its values at the four nearest
+// azimuths on each side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)

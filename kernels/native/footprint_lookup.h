@@ -408,9 +408,9 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select a mip level (a blurred copy of the table) for each segment, a group of table rings within one octave of
-// |(u, v)|. For each segment, compute the azimuth (polar angle), the blur over the angle and the first row on its
-// level.
+// Select a mip level (a blurred copy of the table) for each segment. A segment is a group of rings of the table
+// (circles of constant |(u, v)|) within one octave of |(u, v)|. For each segment, compute the azimuth (polar angle),
+// the blur over the azimuth, and the index of the table row on the selected level at which the segment begins.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {

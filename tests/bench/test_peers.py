@@ -93,7 +93,8 @@ def test_the_rainbow_follows_the_published_chapter():
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
     # u is the component of the scattering vector across the grooves. For the u of this test, the analytic model
-    # reflects the wavelengths 0.75 µm and 0.375 µm. Its rainbow colours show 0.75 µm as green and exclude 0.375 µm.
+    # reflects the wavelengths 0.75 µm and 0.375 µm. The model has no true colours: as published, its rainbow is
+    # greenest at 0.75 µm, and black at 0.375 µm.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

@@ -1,5 +1,5 @@
-"""Samples of lights for plain surfaces with a roughness: frames, fractions of the samples by the distribution from
-which they are drawn, and disc lights.
+"""Samples of lights for plain surfaces with a roughness: shading frames, the fraction of the samples that is drawn from
+microfacets, disc lights, and the choice of one of many lights.
 """
 
 import math

@@ -63,9 +63,8 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     for nodes, rays in ((12, 1.0), (24, 1.4), (48, 1.8), (80, 2.1)):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
-    # The CIE colour-matching functions have kinks. The errors of splines that are fitted to them therefore decrease
-    # only in proportion to the distance between the rings (circles of constant |(u, v)|) of a table, each of which has
-    # one spline.
+    # The CIE colour-matching functions have kinks. Splines that are fitted to them have errors which decrease only in
+    # proportion to the distance between their nodes. The nodes are the rings of a table, circles of constant |(u, v)|.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 

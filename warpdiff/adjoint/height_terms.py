@@ -9,9 +9,10 @@ expansion is
 J_n are Bessel functions, T_n are Chebyshev polynomials, and U_n those of the second kind. The arrays T_n(g) are real,
 so that their transforms are computed for half of the frequency plane. All numbers are in float64.
 
-c and a count as constants in all derivatives. The derivatives are still exact, because the sum of the series does not
-depend on c and a. The common phase factor e^{2πiκc} is omitted. The tangent is the change of a result to first order.
-The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+The sum is H(κ) of the heights h − c. The phase factor e^{2πiκc} is left out, because it does not change any power |H|².
+Derivatives treat c and a as constants. They are still exact: the powers do not depend on c, and the sum does not depend
+on a. The tangent is the change of a result to first order. The adjoint of a quantity is the derivative of a scalar loss
+with respect to this quantity.
 """
 
 from __future__ import annotations

@@ -128,9 +128,10 @@ class OrderModel:
         return np.asarray(self._mirrors * self._reflected.value)
 
     def power_adjoints(self, adjoints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the adjoints of the powers |H|² of all matrix elements from the adjoints of the efficiencies.
+        """Return the adjoints of the powers |H|² from the adjoints of the efficiencies.
 
-        An adjoint is the derivative of a scalar loss. The result has the shape (rows · columns,).
+        An adjoint is the derivative of a scalar loss. The powers form a matrix, which has one row per incident and one
+        column per reflected order. The result is this matrix row by row, shape (rows · columns,).
         """
         mirrors = adjoints * self._reflected.value
         result = np.zeros_like(self._shares)

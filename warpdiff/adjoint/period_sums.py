@@ -53,7 +53,8 @@ class PeriodSums:
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
         """Return the power |P|² and its derivatives for each of p pairs of a direction and a wavelength, (p, 9).
 
-        The columns are ``Q_X`` to ``VALUE`` of ``power_sums``; those of the Gaussian weights remain 0.
+        The order of the columns is that of ``Q_X`` to ``VALUE`` in ``power_sums``. Whole periods have no Gaussian
+        weights, so that the columns ``M_XX``, ``M_XY`` and ``M_YY`` of their derivatives are 0.
         """
         of_y, of_x = self._interference(pairs)
         result = np.zeros((len(pairs), 9))

@@ -256,7 +256,7 @@ def cleaned_of(heightfield: wd.HeightField, options: argparse.Namespace) -> wd.H
 
 
 def coherence_of(options: argparse.Namespace) -> Coherence | None:
-    """Return the coherence (limit of interference) that the flags describe; None without such flags."""
+    """Return the coherence (how far light interferes) that the flags describe; None without such flags."""
     values = given(options, describe(Coherence))
     return Coherence(**values) if values else None
 

@@ -71,8 +71,9 @@ def patch_grid(heightfield: HeightField) -> Grid:
 def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Grid:
     """Return the frequencies r/(2Lx) and s/(2Ly), from which the spectrum of a single period is interpolated.
 
-    The samples must be divided by the Fourier transform of the interpolation kernel; the taper of the grid contains
-    this division. ``kernel_transform`` is the transform, a function of arguments from −1/4 to 1/4.
+    An interpolation convolves the spectrum with a kernel. This is undone if the samples of exp(2πiκh) are first divided
+    by the Fourier transform of the kernel, ``kernel_transform``, a function of arguments from −1/4 to 1/4. The taper of
+    the grid has the factors of this division.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
     # The spectrum of the patch is constant along an axis with a single sample, and needs no interpolation there.

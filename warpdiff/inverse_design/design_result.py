@@ -113,7 +113,10 @@ class Design:
 
     @property
     def uniformity_errors(self) -> Array:
-        """(largest − least)/(largest + least) of the efficiencies per target of equal orders; 1 if all are dark."""
+        """Uniformity error of each target of equal orders, shape (n,): (largest − least)/(largest + least) efficiency.
+
+        The error is 1 if all orders of a target are dark.
+        """
         return np.array([uniformity_error(self._of(k)) for k, each in enumerate(self.targets) if each.kind == "equal"])
 
     @property

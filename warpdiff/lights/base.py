@@ -50,7 +50,7 @@ class Light(ABC):
         """Return the parts that pictures render one after the other.
 
         Args:
-            coherence: Coherence of the picture (limit of interference). An environment requires the kind
+            coherence: Coherence of the picture (how far light interferes). An environment requires the kind
                 ``"averaged"``.
             single_lobe: Whether disc lights of up to 5° become one lobe (a Gaussian of directions), as in pictures
                 without refinement. Otherwise only disc lights of up to 1.5° become one lobe.

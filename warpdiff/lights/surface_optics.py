@@ -1,8 +1,8 @@
 """Optics of the surfaces of a picture, the unit of its colours, and the finishes of its faces.
 
 R(0) is the reflectance at normal incidence. A finish is a surface with one of its materials. A plain surface has no
-height field. Coherence is the limit of interference, for example a window. A dot is a part of a grating map with its
-own rotation, depth and pitch.
+height field. Coherence states how far light interferes, for example within a window. A dot is a part of a grating map
+with its own rotation, depth and pitch.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class SurfaceOptics:
     """Optics of one surface of a picture, except for the diffraction of its height field.
 
     Attributes:
-        coherence: Coherence of the light at the surface: the limit of interference, such as a window.
+        coherence: Coherence of the light at the surface: how far light interferes, such as a window.
         area_um2: Area of the height field [µm²].
         normal_reflectance: Reflectance R(0) at normal incidence of Schlick's approximation; 1 if the surface has
             materials.
@@ -59,7 +59,7 @@ class PictureUnit(NamedTuple):
     """Light that a perfect mirror would show in a picture; the colours of the picture are relative to this light.
 
     Attributes:
-        coherence: Coherence (limit of interference) of the mirror's light.
+        coherence: Coherence (how far light interferes) of the mirror's light.
         area_um2: Area of the height field [µm²]; it has an effect only if the coherence is a number of periods that
             interfere.
     """

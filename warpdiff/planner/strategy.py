@@ -283,9 +283,11 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
 def _measured(
     request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan, affordable: float
 ) -> Plan:
-    """Search a plan, with or without a colour table; return the upper-bound plan if all directions are dark.
+    """Search for the cheapest plan that meets the tolerance in a sample of directions, with or without a colour table.
 
-    ``affordable`` is the largest cost of a table [multiply-adds]; 0 excludes tables.
+    If no light is scattered in any of these directions, errors cannot be measured. The result is then ``upper``, the
+    plan from upper bounds of the error. ``affordable`` is the largest cost of a table [multiply-adds]; 0
+    excludes tables.
     """
     plan = _with_basis(upper, request, direction_range)
     measured = trial.Trial(plan, request, direction_range, sample, coarse=_coarse_plan(request, direction_range))

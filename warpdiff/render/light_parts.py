@@ -1,6 +1,6 @@
 """Parts of the lights of a picture (lobes, discs and skies), after checks against the coherence of its surfaces.
 
-Coherence is the limit of interference. A lobe is a Gaussian of directions or a single direction.
+Coherence states how far light interferes. A lobe is a Gaussian of directions or a single direction.
 """
 
 from __future__ import annotations

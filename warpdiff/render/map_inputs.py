@@ -1,4 +1,4 @@
-"""Checks of grating maps before a picture is computed, and the coherence (limit of interference) of their surfaces.
+"""Checks of grating maps before a picture is computed, and the coherence (how far light interferes) of their surfaces.
 
 A grating map divides a surface into small rectangles (dots). Each dot has its own rotation, depth and pitch of one
 grating.

@@ -1,6 +1,6 @@
 """Checked inputs of pictures: one or several surfaces of a mesh, lights and settings.
 
-A plan holds the numbers of a computation, such as wavelengths. Coherence is the limit of interference. Colours are
+A plan holds the numbers of a computation, such as wavelengths. Coherence states how far light interferes. Colours are
 relative to a mirror, the unit of the picture. A plain surface has no height field.
 """
 

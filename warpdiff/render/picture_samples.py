@@ -165,7 +165,10 @@ def _check_parts(parts: Sequence[LightPart]) -> None:
 
 
 def _lit(picture: Picture, index: LobeIndex, *, means: bool) -> list[LitPixels]:
-    """Return the samples of one lobe (direction to a light), separately for each material of the surface."""
+    """Return the scattering vectors and geometry factors of all illuminated pixels, separately for each material.
+
+    The light is a single lobe: a direction or a Gaussian of directions.
+    """
     sampler, context = picture.sampler, picture.context
     sampler.scatter(0, index, picture.sums)
     vectors, to_lights, gains = sampler.directions()

@@ -47,10 +47,10 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Return the arrays of sums over subpixel cells into which kernels write when the tiles of a level are shaded.
+        """Return the arrays that are filled when tiles (subdivided pixels) are shaded: sums over their cells.
 
-        ``is_base`` states whether the level is the base level, the level of a pixel's first cells. This level has an
-        additional array.
+        ``is_base`` states whether the cells are the first ones of their pixels. The mean colours of the quadrants of
+        the pixels are then included.
         """
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]

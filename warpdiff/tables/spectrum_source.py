@@ -321,7 +321,11 @@ def source_for(
 
 
 def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) -> SpectrumSource:
-    """Compute the layout, basis functions and zeroth order of a power spectrum, without its samples."""
+    """Return a power spectrum whose values have not been sampled yet.
+
+    It already has the polar grid for these values, the basis functions of κ = w/λ in which they are expanded, and the
+    power of the zeroth order.
+    """
     coefficients, at, coherence = table.coefficients, table.arguments, plan.coherence
     count = min(plan.terms, coefficients.terms)
     lanes = lanes_of(count)
