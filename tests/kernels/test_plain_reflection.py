@@ -60,16 +60,23 @@ def test_pairs_of_directions_have_the_brdf_of_the_specification(metallic, roughn
     np.testing.assert_allclose(result, math.pi * brdf(lights, views, metallic, roughness, colour), rtol=2e-4)
 
 
-def test_a_texture_with_nearly_equal_roughness_in_a_footprint_has_the_brdf_of_its_mean(rng):
+@pytest.mark.parametrize(
+    ("texture", "metallic", "roughness"),
+    [((0.6, 0.5, 0.009, 0.3), 0.6, 0.4), ((1.4, 2.0, 0.0, 0.0), 1.0, 0.8), ((-0.2, 0.5, 0.0, 0.0), 0.0, 0.4)],
+)
+def test_a_texture_with_nearly_equal_roughness_in_a_footprint_has_the_brdf_of_its_mean(
+    texture, metallic, roughness, rng
+):
     """The reflected light must be that of the mean roughness, if the roughness hardly varies within a footprint.
 
-    The standard deviation of the texture, 0.009, is below the smallest one that the kernel takes into account.
+    The standard deviation of the first texture, 0.009, is below the smallest one that the kernel takes into account.
+    Numbers outside of 0 to 1, which filters with negative weights may cause, count as 0 or 1.
     """
     count, colour = 50, (0.8, 0.4, 0.2)
     to_lights, to_views = hemisphere(rng, count, 0.1), hemisphere(rng, count, 0.1)
     pixels, lights, materials = Pixels(), Lights(), plain_reflection.PlainMaterials()
     pixels.face, pixels.base_colour = array(np.zeros(count), wp.int32), array(np.tile(colour, (count, 1)), wp.vec3f)
-    pixels.metallic_roughness = array(np.tile((0.6, 0.5, 0.009, 0.3), (count, 1)), wp.vec4f)
+    pixels.metallic_roughness = array(np.tile(texture, (count, 1)), wp.vec4f)
     materials.rows, materials.metallic_roughness = array([0], wp.int32), array([(1.0, 0.8)], wp.vec2f)
     lights.places, lights.strengths = array([(0.0, 0.0, 1.0, 0.0)], wp.vec4d), array([1.0], wp.float64)
     lights.white_rgb, lights.rgb_to_xyz = array([(1.0, 1.0, 1.0)], wp.vec3d), wp.mat33d(*np.eye(3).ravel())
@@ -79,7 +86,7 @@ def test_a_texture_with_nearly_equal_roughness_in_a_footprint_has_the_brdf_of_it
         array(-to_lights - to_views, wp.vec3d), array(to_lights, wp.vec3f), array(np.ones(count), wp.float32), 0, count,
     ]  # fmt: skip
     launch(plain_reflection.add_plain_reflection, (1, 1), inputs, [result], device="cpu")
-    expected = math.pi * to_lights[:, 2:] * brdf(to_lights, to_views, 0.6, 0.4, colour)
+    expected = math.pi * to_lights[:, 2:] * brdf(to_lights, to_views, metallic, roughness, colour)
     np.testing.assert_allclose(result.numpy(), expected, rtol=2e-4)
 
 

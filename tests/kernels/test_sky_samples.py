@@ -140,6 +140,13 @@ def test_directions_are_drawn_in_proportion_to_their_density(results):
     column = ((np.arctan2(drawn[:, 0], -drawn[:, 2]) / (2.0 * math.pi) + 0.5 + 0.3) % 1.0 * 6.0).astype(int)
     counts = np.bincount(6 * row + column, minlength=18)
     np.testing.assert_allclose(counts / COUNT, given["blocks"].ravel(), atol=3e-3)
+    # Within a block, the directions are uniform in solid angle, thus in azimuth and in the vertical component.
+    along = ((np.arctan2(drawn[:, 0], -drawn[:, 2]) / (2.0 * math.pi) + 0.5 + 0.3) % 1.0 * 6.0) % 1.0
+    top, bottom = np.cos(math.pi / 3.0 * row), np.cos(math.pi / 3.0 * (row + 1))
+    for within in (along, (top - drawn[:, 1]) / (top - bottom)):
+        for block in np.flatnonzero(counts > 500):
+            inside = within[6 * row + column == block]
+            np.testing.assert_allclose(np.quantile(inside, (0.25, 0.5, 0.75)), (0.25, 0.5, 0.75), atol=0.06)
     per_density = 1.0 / computed["densities"]
     assert per_density.mean() == pytest.approx(4.0 * math.pi, rel=0.01)
     assert (drawn[:, 1] ** 2 * per_density).mean() == pytest.approx(4.0 / 3.0 * math.pi, rel=0.01)

@@ -12,6 +12,7 @@ from trimesh.visual.material import PBRMaterial
 
 import warpdiff as wd
 from warpdiff.device import kernel_calls
+from warpdiff.scene import camera_rays
 
 
 def in_runs_of(run):
@@ -49,7 +50,12 @@ def scene():
 
 
 def test_a_picture_does_not_depend_on_the_number_of_indices_per_thread(monkeypatch):
-    """A picture under lights of all kinds must be the same with one index and with three indices per thread."""
+    """A picture under lights of all kinds must be the same with one index and with three indices per thread.
+
+    So must the grids of faces that may occlude a light. Such grids are made only for many shadow rays, unless the
+    number of faces that one ray pays for is raised.
+    """
+    monkeypatch.setattr(camera_rays, "_FACES_PER_RAY", 10**6)
     disc, point = wd.DirectionalLight((0.2, 0.1, 1.0), angular_diameter_deg=20.0), wd.PointLight((0.5, 0.5, 3.0))
     many = [wd.DirectionalLight((0.1 * k, 0.3, 1.0), power=0.1) for k in range(-35, 35)]
     sky = wd.Environment(0.5 + 0.4 * np.sin(np.arange(24.0)).reshape(2, 4, 3), directions=32)

@@ -95,6 +95,15 @@ def test_the_quadrature_of_a_linear_reflectance_is_accurate(colour):
         np.testing.assert_allclose(rho[::step] @ weights, exact, rtol=0.0, atol=error)
 
 
+def test_negative_weights_are_added_to_their_neighbours():
+    """The sum of the weights, the colour of white, must not change, also if an end has a negative weight."""
+    weights = np.array([[-0.2, 1.0, 0.1], [1.0, -0.1, 1.0], [1.0, 1.0, 1.0], [0.3, 1.0, -0.4]])
+    result = colorimetry._without_negative(weights)
+    assert result.min() >= 0.0
+    np.testing.assert_allclose(result.sum(axis=0), weights.sum(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(result[:, 1], [0.95, 0.0, 0.95, 1.0], rtol=1e-6)
+
+
 def test_quadrature_converges_for_a_wave():
     def colour_of(count):
         nodes = colorimetry.wavelengths_uniform_in_wavenumber(count)
