@@ -335,8 +335,9 @@ def test_a_sum_of_stams_efficiencies_that_deviates_from_the_power_causes_a_warni
     to 1.
     """
     light, deep, shallow = at_angle(30.0), wd.gratings.sinusoidal(2.0, 0.3), wd.gratings.sinusoidal(1.0, 0.1)
-    with pytest.warns(wd.WarpdiffWarning, match=r"the orders sum to 0\.789 times that power"):
-        wd.order_efficiencies(deep, light, 500.0, ior=math.inf, energy="stam")
+    for wavelengths in (500.0, (500.0, 780.0)):
+        with pytest.warns(wd.WarpdiffWarning, match=r"the orders sum to 0\.789 times that power"):
+            wd.order_efficiencies(deep, light, wavelengths, ior=math.inf, energy="stam")
     recwarn.clear()
     wd.order_efficiencies(deep, light, 500.0, ior=math.inf, energy="normalised")
     wd.order_efficiencies(shallow, light, 500.0, ior=math.inf, energy="stam")

@@ -395,3 +395,12 @@ def test_the_rays_of_a_pixel_share_its_samples(light, square):
     # The more random directions to a disc light are drawn, the less each of them is blurred. The noise may therefore
     # increase, up to a factor of 2.
     assert max(spread[1:]) < 2.0 * spread[0]
+
+
+@pytest.mark.parametrize("channel", range(3))
+def test_a_sky_of_one_primary_colour_illuminates_a_surface(channel, square):
+    radiance = np.zeros((4, 8, 3))
+    radiance[..., channel] = 1.0
+    image = wd.shade(square, wd.gratings.sinusoidal(1.0, 0.05), wd.Environment(radiance), seen_at(10.0), **UNDER)
+    assert image.illuminated.all()
+    assert np.argmax(image.rgb.mean(axis=(0, 1))) == channel
