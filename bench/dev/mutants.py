@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 # Test folders and files that mutation testing uses. Tests of interfaces, files and signals are excluded.
-TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
+TESTS = [*PACKAGES, "adjoint", "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
 TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
 # Time after which the tests of a changed program count as timed out: `PATIENCE` times the largest total time of these
 # tests without a change, plus `COMPILE_S` seconds for the compilation of kernels.
