@@ -18,6 +18,7 @@ from conftest import at_angle, hemisphere
 import warpdiff as wd
 from warpdiff.heightfield import diagnostics
 from warpdiff.planner import bounds, cost_model, strategy
+from warpdiff.request.directions import order_rate
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
 
@@ -223,3 +224,16 @@ def test_a_pixel_that_cannot_use_footprints_counts_as_16_directions(fingers, mon
     plan = strategy.plan_for(request, direction_range, sample, 100.0)
     assert plan.footprint
     assert counts == [100.0 * factor] * 2
+
+
+def test_a_plan_without_a_search_has_the_mean_cost_of_its_directions(fingers, rng):
+    """For few directions no search is made. The plan must state their mean cost."""
+    lights, views = hemisphere(rng, 5, 0.5), hemisphere(rng, 5, 0.5)
+    plan = wd.plan(fingers, lights, views)
+    vectors = -lights - views
+    rates = order_rate(fingers, plan.coherence, vectors, lights)
+    assert plan.multiply_adds == pytest.approx(
+        cost_model.sampling_multiply_adds(fingers, plan, rates, np.abs(vectors[:, 2])), rel=1e-6
+    )
+    steepest = cost_model.sampling_multiply_adds(fingers, plan, rates[:1] * 0.0 + rates.max(), np.array([2.0]))
+    assert plan.multiply_adds < 0.99 * steepest
