@@ -182,3 +182,21 @@ def test_samples_are_turned_and_scaled(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(outputs[2].numpy()[own], exact[own], rtol=1e-5, atol=1e-5)
     for output in outputs:
         assert np.all(output.numpy()[~own] == 0.0)
+
+
+def test_gains_have_the_ratio_of_reflectances_at_half_the_angle_of_light_and_viewer(rng: np.random.Generator) -> None:
+    """The ratio must be interpolated over the cosine of this angle, |(u, v, w)|/2, which is at most 1."""
+    rays, part = 60, 2
+    vectors, gains, shares = rng.normal(size=(rays, 3)), rng.uniform(size=rays), rng.uniform(size=(rays, 4))
+    lengths = np.concatenate([[0.0, 2.0, 2.1], rng.uniform(0.0, 2.0, rays - 3)])
+    vectors *= (lengths / np.linalg.norm(vectors, axis=1))[:, None]
+    for ratios in ([0.8, 0.4, 0.7, 1.0], []):
+        result = wp.zeros(rays, dtype=wp.float32, device="cpu")
+        inputs = [
+            wp.array(ratios, dtype=wp.float32, device="cpu"), wp.array(vectors, dtype=wp.vec3d, device="cpu"),
+            wp.array(gains, dtype=wp.float32, device="cpu"), wp.array(shares, dtype=wp.vec4f, device="cpu"), part,
+        ]  # fmt: skip
+        call = KernelCall(dot_transforms.scale_gains, inputs, [result], in_runs=True)
+        launch_pipeline([call], rays, device=wp.get_device("cpu"), threads=1)
+        ratio = np.interp(lengths / 2.0, np.linspace(0.0, 1.0, 4), ratios) if ratios else 1.0
+        np.testing.assert_allclose(result.numpy(), gains * shares[:, part] * ratio, rtol=1e-5)

@@ -124,3 +124,17 @@ def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_ra
         turns = [1e3 * (towards(hits[i][0]) - towards(met(x[i] + dx, y[i] + dy)[0])) for dx, dy in steps]
         expected = 1.0 + np.array([turn @ axis for turn in turns for axis in (tangents[i], bitangents[i])])
         np.testing.assert_allclose(result.numpy()[i], expected, atol=1e-4)
+
+
+def test_only_pixels_with_a_finish_keep_their_gains(rng):
+    """Two threads process all pixels but the first. A pixel without a hit has the gain 0 and no face."""
+    gains, faces, finishes = rng.uniform(0.1, 1.0, 21), rng.integers(0, 6, 21), np.array([0, 1, 2, 1, 0, 2])
+    gains[5], faces[5] = 0.0, -1
+    result = wp.full(21, -1.0, dtype=wp.float32, device="cpu")
+    inputs = [
+        wp.array(gains, dtype=wp.float32, device="cpu"), wp.array(faces, dtype=wp.int32, device="cpu"),
+        wp.array(finishes, dtype=wp.int32, device="cpu"), 1, 1, 10,
+    ]  # fmt: skip
+    launch(light_samples.select_finish, (2, 1), inputs, [result], device="cpu")
+    expected = np.where(finishes[faces] == 1, gains, 0.0)
+    np.testing.assert_allclose(result.numpy(), [-1.0, *expected[1:]], rtol=1e-6)
