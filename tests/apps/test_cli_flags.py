@@ -6,7 +6,7 @@ import trimesh
 
 import warpdiff as wd
 from warpdiff.apps import cli, cli_inputs
-from warpdiff.apps.cli_options import given, with_joined_tangents
+from warpdiff.apps.cli_options import given, with_joined_vectors
 from warpdiff.core.options import describe
 from warpdiff.optics.spectra import colour_science
 from warpdiff.request.settings import PictureSettings, SinglePictureSettings
@@ -39,10 +39,22 @@ def test_a_mesh_after_the_words_of_tangents_is_the_mesh(words, tangents):
         "render --tangents {} ball.ply -o a.png --heightfield blazed",
         "sequence -o a ball.ply --heightfield blazed --tangents {}", "export-html a.html --tangents {} ball.ply",
     ):  # fmt: skip
-        arguments = with_joined_tangents(line.format(words).split())
+        arguments = with_joined_vectors(line.format(words).split())
         options = cli._parser(arguments).parse_args(arguments)
         assert options.mesh == "ball.ply"
         assert given(options, describe(PictureSettings))["tangents"] == tangents
+
+
+@pytest.mark.parametrize("place", ["--light -1e-3 0 1 {}", "{} --light -1e-3 0 1", "--width 9 --light -1e-3 0 1 {}"])
+def test_a_mesh_after_the_numbers_of_a_light_is_the_mesh(place):
+    line = "render " + place.format("ball.ply --light point:position=0x2x1") + " -o a.png --heightfield blazed"
+    arguments = with_joined_vectors(line.split())
+    options = cli._parser(arguments).parse_args(arguments)
+    assert options.mesh == "ball.ply"
+    lights = cli_inputs.lights_of(options, wd.View((0, 0, 3), (0, 0, 0)))
+    distant, point = sorted(lights, key=lambda light: type(light).__name__)
+    assert np.allclose(distant.to_light, np.array([-1e-3, 0.0, 1.0]) / np.hypot(1e-3, 1.0))
+    assert point.position == (0.0, 2.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +156,7 @@ def test_illuminants_whose_names_contain_a_full_stop_are_no_files(tmp_path, monk
         cli_inputs.illuminant_of("FL3.16")
     arguments = ["render", "tube", "--heightfield", "blazed", "-o", "a.png", "--illuminant", "FL3.1"]
     arguments += ["--light", "0", "0", "1", "--light", "directional:to_light=0x0x1,illuminant=FL3.15"]
-    options = cli._parser(arguments).parse_args(arguments)
+    options = cli._parser(arguments).parse_args(with_joined_vectors(arguments))
     lights = cli_inputs.lights_of(options, wd.View((0, 0, 1), (0, 0, 0)))
     assert [light.illuminant for light in lights] == ["FL3.1", "FL3.15"]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import warpdiff as wd
 from warpdiff.apps import cli_commands, cli_flags, cli_tables
-from warpdiff.apps.cli_options import CLEANING, Flags, with_joined_tangents, word
+from warpdiff.apps.cli_options import CLEANING, Flags, with_joined_vectors, word
 from warpdiff.apps.cli_progress import CommandProgress
 from warpdiff.core.wording import did_you_mean, spelled
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: Arguments without the program's name; None is ``sys.argv[1:]``.
     """
-    arguments = with_joined_tangents(sys.argv[1:] if arguments is None else arguments)
+    arguments = with_joined_vectors(sys.argv[1:] if arguments is None else arguments)
     options, unknown = _parser(arguments).parse_known_args(arguments)
     options.progress = progress = CommandProgress(options.command)
 

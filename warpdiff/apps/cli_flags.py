@@ -322,7 +322,7 @@ def _add_scene(flags: Flags) -> None:
     """Add the flags of lights and camera."""
     group = flags.group("lights")
     group.add_argument(
-        "--light", nargs="+", action="append", metavar="LIGHT",
+        "--light", action="append", metavar="LIGHT",
         help="light: the direction towards it, X Y Z, or one of warpdiff's lights, KIND:name=value,…, for example "
         "directional:to_light=0x1x1,angular_diameter_deg=3 or point:position=0x2x1,power=4; may be repeated (default: "
         "a directional light from above and to the right of the camera)",

@@ -323,23 +323,21 @@ def lights_of(options: argparse.Namespace, view: wd.View, environment: wd.Enviro
     Without any light, return one directional light that comes from above and to the right of the camera.
     """
     illuminant, lights = illuminant_of(options.illuminant), []
-    for texts in options.light or ():
-        kind, colon, parameters = texts[0].partition(":")
-        if len(texts) == 1 and colon:
+    for text in options.light or ():
+        kind, colon, parameters = text.partition(":")
+        if colon:
             if kind not in _LIGHTS:
                 raise ArgumentValueError(
-                    f"{ref('light')} {texts[0]!r} must begin with {' or '.join(repr(f'{name}:') for name in _LIGHTS)}"
+                    f"{ref('light')} {text!r} must begin with {' or '.join(repr(f'{name}:') for name in _LIGHTS)}"
                     f"{did_you_mean(kind, _LIGHTS)}"
                 )
-            lights.append(
-                _called(texts[0], getattr(wd, _LIGHTS[kind]), parameters, {"illuminant": illuminant}, "light")
-            )
+            lights.append(_called(text, getattr(wd, _LIGHTS[kind]), parameters, {"illuminant": illuminant}, "light"))
             continue
         try:
-            x, y, z = map(float, texts)
+            x, y, z = map(float, text.split())
         except ValueError:
             raise ArgumentValueError(
-                f"{ref('light')} must be three numbers X Y Z, or KIND:name=value,…, got {' '.join(texts)!r}"
+                f"{ref('light')} must be three numbers X Y Z, or KIND:name=value,…, got {text!r}"
             ) from None
         lights.append(wd.DirectionalLight((x, y, z), illuminant=illuminant))
     if environment is not None:

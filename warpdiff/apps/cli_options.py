@@ -206,10 +206,10 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
     return result
 
 
-def with_joined_tangents(arguments: Sequence[str]) -> list[str]:
-    """Join ``--tangents`` and its values to one argument, such as ``--tangents=1 0 0``, directly after the command.
+def with_joined_vectors(arguments: Sequence[str]) -> list[str]:
+    """Join flags of vectors and their values, such as ``--tangents=1 0 0``, and move them directly after the command.
 
-    The value of the flag is either a rule, which is one word, or a vector, which is several numbers. If the words were
+    The flags are ``--tangents`` and ``--light``. Their value is either one word or several numbers. If the words were
     separate, argparse would accept a mesh file after them as another value, and would mistake ``-1e-3`` for a flag. It
     would also not accept a mesh file after a flag if the mesh file is optional.
     """
@@ -219,7 +219,7 @@ def with_joined_tangents(arguments: Sequence[str]) -> list[str]:
     while rest:
         argument = rest.pop(0)
         words = []
-        if argument == "--tangents":
+        if argument in {"--tangents", "--light"}:
             words = list(itertools.takewhile(_is_number, rest)) or [word for word in rest[:1] if word[:1] != "-"]
         if words:
             joined.append(f"{argument}={' '.join(words)}")
