@@ -81,12 +81,15 @@ def transform_samples(
     Directions to the light and footprints are transformed, too. At all other hits, the results are 0. A dot is a
     rectangle of the map with its own pitch p, turn φ and depth d, relative to one height field.
 
+    After the first of up to four dots, only the results of subpixel cells with a share in the dot are written. Few
+    subpixel cells have one, and gains of 0 exclude the others from look-ups.
+
     Args:
         transforms: Transform of each dot, shape (rows, columns): p cos φ, p sin φ, d, and p relative to the smallest p
             of the map.
         dots: Index of the first dot of each ray; −1 without a hit.
         shares: Shares of the ray's subpixel cell in up to four dots, see :func:`find_dots`.
-        part: Index of the dot in ``shares``, from 0 to 3. Where the share of this dot is 0, the results are 0.
+        part: Index of the dot in ``shares``, from 0 to 3.
         faces: Face that each ray hits.
         surfaces: Surface of each face; empty if all faces have the same surface.
         surface: Index of the surface with the map.
@@ -104,6 +107,8 @@ def transform_samples(
     rows = transforms.shape[0]
     columns = transforms.shape[1]
     for i in range(first + thread * run, first + (thread + 1) * run):
+        if part > 0 and shares[i][part] == 0.0:
+            continue
         dot = wp.vec4f()
         per_pitch = wp.float32(0.0)
         if dots[i] >= 0 and shares[i][part] > 0.0:
@@ -150,7 +155,7 @@ def scale_gains(
     last = ratios.shape[0] - 1
     for i in range(first + thread * run, first + (thread + 1) * run):
         gain = gains[i] * shares[i][part]
-        if last > 0:
+        if last > 0 and gain > 0.0:
             place = wp.min(0.5 * wp.float32(wp.length(scattering_vectors[i])), 1.0) * wp.float32(last)
             entry = wp.min(wp.int32(place), last - 1)
             t = place - wp.float32(entry)
@@ -183,9 +188,13 @@ def weigh_gains(
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        place = wp.log2(wp.max(wp.length(to_lights[i]), 1.0))
-        t = wp.abs(place - octaves) * per_octave
         weight = wp.float32(0.0)
+        # Most rays have the gain 0, because subpixel cells are rarely divided. They are skipped, because the logarithm
+        # takes most of the time.
+        t = wp.float32(2.0)
+        if gains[i] > 0.0:
+            place = wp.log2(wp.max(wp.length(to_lights[i]), 1.0))
+            t = wp.abs(place - octaves) * per_octave
         if t < 1.0:
             weight = 0.5 * (1.0 - t * t) * (2.0 - t)
         elif t < 2.0:

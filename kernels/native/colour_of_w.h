@@ -57,14 +57,15 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Convert a weighted sum of rows of a colour table to XYZ, multiply the result by `share`, and add it to pixel i. XYZ
-// may be slightly negative, because some weights of rows are negative. Negative values count as 0.
+// Convert a weighted sum of rows of a colour table to XYZ at the w of index i, multiply the result by `share`, and add
+// it to `xyz`, the sum of one pixel. XYZ may be slightly negative, because some weights of rows are negative. Negative
+// values count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
 {
     const Colour colour = colour_at_w(table, sum, at_w, i);
-    for (int c = 0; c < 3; ++c) xyz[3 * i + c] += share * wp::max(colour.xyz[c], 0.0f);
+    for (int c = 0; c < 3; ++c) xyz[c] += share * wp::max(colour.xyz[c], 0.0f);
 }
 
 // Add the XYZ of the zeroth order (the reflection at the mean plane) to one pixel. At each wavelength, this order is a

@@ -56,6 +56,8 @@ struct CutGaussian {
 // Footprints of N pixels in (u, v), with the covariance of each footprint.
 template <int N>
 struct Footprints {
+    int count;
+    Batch<N, int> ray; // index of the ray in the batch of rays, in which rays with the gain 0 have no footprint here
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
     Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the pixel filter
@@ -129,23 +131,31 @@ WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, f
     };
 }
 
+// List the rays of a batch that have a gain (geometry factor), and load their footprints. The other rays contribute
+// nothing: they are in shadow, or have another material or dot.
 template <bool SOURCE, int N>
-WARPDIFF_INLINE void load_footprints(
-    Footprints<N>& pixels, const double* scattering_vectors, const float* to_lights, const float* footprints, int count)
+WARPDIFF_INLINE void load_footprints(Footprints<N>& pixels, const double* scattering_vectors, const float* to_lights,
+    const float* footprints, const float* gains, int count)
 {
-    for (int i = 0; i < count; ++i) {
-        pixels.u[i] = (float)scattering_vectors[3 * i];
-        pixels.v[i] = (float)scattering_vectors[3 * i + 1];
-        pixels.w[i] = (float)-scattering_vectors[3 * i + 2];
-        pixels.light_x[i] = SOURCE ? to_lights[3 * i] : 0.0f;
-        pixels.light_y[i] = SOURCE ? to_lights[3 * i + 1] : 0.0f;
-        pixels.light_z[i] = SOURCE ? to_lights[3 * i + 2] : 0.0f;
-        pixels.row_u[i] = footprints ? footprints[4 * i] : 0.0f;
-        pixels.row_v[i] = footprints ? footprints[4 * i + 1] : 0.0f;
-        pixels.column_u[i] = footprints ? footprints[4 * i + 2] : 0.0f;
-        pixels.column_v[i] = footprints ? footprints[4 * i + 3] : 0.0f;
+    pixels.count = 0;
+    for (int ray = 0; ray < count; ++ray) {
+        pixels.ray[pixels.count] = ray;
+        pixels.count += gains[ray] != 0.0f;
     }
-    for (int i = wp::max(count, 0); i % ABREAST != 0; ++i)
+    for (int i = 0; i < pixels.count; ++i) {
+        const int ray = pixels.ray[i];
+        pixels.u[i] = (float)scattering_vectors[3 * ray];
+        pixels.v[i] = (float)scattering_vectors[3 * ray + 1];
+        pixels.w[i] = (float)-scattering_vectors[3 * ray + 2];
+        pixels.light_x[i] = SOURCE ? to_lights[3 * ray] : 0.0f;
+        pixels.light_y[i] = SOURCE ? to_lights[3 * ray + 1] : 0.0f;
+        pixels.light_z[i] = SOURCE ? to_lights[3 * ray + 2] : 0.0f;
+        pixels.row_u[i] = footprints ? footprints[4 * ray] : 0.0f;
+        pixels.row_v[i] = footprints ? footprints[4 * ray + 1] : 0.0f;
+        pixels.column_u[i] = footprints ? footprints[4 * ray + 2] : 0.0f;
+        pixels.column_v[i] = footprints ? footprints[4 * ray + 3] : 0.0f;
+    }
+    for (int i = pixels.count; i % ABREAST != 0; ++i)
         pixels.u[i] = pixels.v[i] = pixels.w[i] = pixels.light_x[i] = pixels.light_y[i] = pixels.light_z[i] =
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
@@ -163,9 +173,9 @@ WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pi
 // `SCALED` states whether the lengths of directions to the light are pitch scales: factors by which the gratings of a
 // grating map are stretched.
 template <bool SOURCE, bool SCALED, int MOST_PARTS, int N, class Table>
-WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
+WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels)
 {
-    for (int from = 0; from < count; from += ABREAST)
+    for (int from = 0; from < pixels.count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
             // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). I is the unit matrix, and
             // the vector t is the projection of the direction to the light onto the surface. On a grating map, the
@@ -232,35 +242,31 @@ struct NextPart {
 // the covariance of each part, and the fraction of the colour of its pixel that it contributes. Pixels with footprints
 // that are wide compared with |(u, v)| get no parts: their colours are computed and added here. The zeroth order of all
 // pixels is added, too.
-template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
+template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
-    const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
-    float* xyz)
+    const Footprints<N>& pixels, NextPart& next, Parts<N>& parts, float* unserved_gain, float* xyz)
 {
     parts.count = 0;
-    while (parts.count < N && next.pixel < count) {
-        const int i = next.pixel, all = (int)pixels.parts[i], k = parts.count;
-        const float gain = gains[i], u = pixels.u[i], v = pixels.v[i];
+    while (parts.count < N && next.pixel < pixels.count) {
+        const int i = next.pixel, ray = pixels.ray[i], all = (int)pixels.parts[i], k = parts.count;
+        const float gain = gains[ray], u = pixels.u[i], v = pixels.v[i];
         const float* const split = splits + (all - 1) * 3 * MOST_PARTS;
         const float within = split[0], cut = 1.0f - within, away = split[MOST_PARTS + next.part];
         float share = gain * split[2 * MOST_PARTS + next.part];
-        bool served = gain != 0.0f;
         if (SOURCE) {
-            const bool unserved = is_unserved(table, pixels, i, within, cut);
-            numbers<float>(unserved_gain)[begin + i] = served && unserved ? gain : 0.0f;
-            served = served && !unserved;
+            if (is_unserved(table, pixels, i, within, cut)) {
+                unserved_gain[ray] = gain;
+                ++next.pixel;
+                continue;
+            }
             share *= 2.0f * PI * pixels.source2[i];
-        }
-        if (!served) {
-            ++next.pixel;
-            continue;
         }
         if (next.part == 0)
             add_zeroth_order(table, u, v, pixels.w[i], pixels.xx[i], pixels.xy[i], pixels.yy[i], pixels.source2[i],
-                gain, xyz + 3 * i);
+                gain, xyz + 3 * ray);
         if (!SOURCE && is_wide(table, pixels, i)) {
             const WeighedRows<WIDTH> sum = sum_over_rings<WIDTH>(table, u, v, pixels.xx[i], pixels.xy[i], pixels.yy[i]);
-            add_colour(table, sum.rows, pixels.at_w, i, gain / larger(sum.weights, 1.0e-30f), xyz);
+            add_colour(table, sum.rows, pixels.at_w, i, gain / larger(sum.weights, 1.0e-30f), xyz + 3 * ray);
             next = {i + 1, 0};
             continue;
         }
@@ -568,7 +574,7 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
         if (segments.first[s] + segments.rings[s] * segments.apart[s] < parts.end[k]) continue;
         const int i = parts.pixel[k];
         const float share = tabulated ? parts.share[k] : parts.share[k] / larger(sum.weights, 1.0e-6f);
-        add_colour(table, sum.rows, pixels.at_w, i, share, xyz);
+        add_colour(table, sum.rows, pixels.at_w, i, share, xyz + 3 * pixels.ray[i]);
         sum.clear();
     }
 }
@@ -592,17 +598,19 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
     Footprints<N> pixels;
     load_footprints<SOURCE>(pixels, numbers<const double>(scattering_vectors) + 3LL * begin,
         numbers<const float>(to_lights) + 3LL * begin,
-        is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, count);
+        is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, factors, count);
+    float* const unserved = SOURCE ? numbers<float>(unserved_gain) + begin : nullptr;
+    for (int ray = 0; SOURCE && ray < count; ++ray) unserved[ray] = 0.0f;
     if (SOURCE && table.has_pitch_scales)
-        find_covariances<SOURCE, SOURCE, MOST_PARTS>(table, pixels, count);
+        find_covariances<SOURCE, SOURCE, MOST_PARTS>(table, pixels);
     else
-        find_covariances<SOURCE, false, MOST_PARTS>(table, pixels, count);
+        find_covariances<SOURCE, false, MOST_PARTS>(table, pixels);
     WeighedRows<WIDTH> sum;
     sum.clear();
     for (NextPart next_part = {0, 0};;) {
         Parts<N> parts;
-        next_parts<SOURCE, MOST_PARTS, WIDTH>(table, numbers<const float>(taps.parts), factors, pixels, begin, count,
-            next_part, parts, unserved_gain, xyz);
+        next_parts<SOURCE, MOST_PARTS, WIDTH>(
+            table, numbers<const float>(taps.parts), factors, pixels, next_part, parts, unserved, xyz);
         if (parts.count == 0) break;
         place_parts(table, parts);
         choose_rings<SOURCE>(table, taps, cut, parts);

@@ -127,7 +127,7 @@ WARPDIFF_INLINE void look_up_points(const Table& table, const ScatteringVectors&
         if (next < count) locate_rows<WIDTH>(table, points, next, factors[next] != 0.0f);
         if (factors[i] == 0.0f) continue;
         const Row<WIDTH> sum = sum_of_rows<WIDTH>(table, points, i);
-        add_colour(table, sum, points.at_w, i, factors[i], xyz);
+        add_colour(table, sum, points.at_w, i, factors[i], xyz + 3 * i);
         add_zeroth_order(table, points.u[i], points.v[i], points.w[i], 0.0f, 0.0f, 0.0f, 0.0f, factors[i], xyz + 3 * i);
     }
 }
