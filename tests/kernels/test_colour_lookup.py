@@ -66,7 +66,7 @@ def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footp
     for kind in ("native", "plain"):
         xyz, unserved_gain = (
             wp.zeros(COUNT, dtype=wp.vec3f, device="cpu"),
-            wp.zeros(COUNT, dtype=wp.float32, device="cpu"),
+            wp.full(COUNT, -1.0, dtype=wp.float32, device="cpu"),
         )
         look_up = lookup.kernel_calls(*arrays, IlluminatedMaterial("D65"), xyz, spreads, unserved_gain)[0]
         if kind == "plain":
@@ -86,7 +86,7 @@ def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footp
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2
-    assert np.count_nonzero(np.any(plain, axis=1)) > COUNT // 2
+    assert np.count_nonzero(np.any(plain, axis=1)) > COUNT // 3
 
 
 @pytest.mark.parametrize("deviations", [2.25, 2.5, 3.0, 5.0])
