@@ -7,7 +7,7 @@ import functools
 
 import numpy as np
 import pytest
-from conftest import hemisphere, relative_errors, slow
+from conftest import coherence_of, hemisphere, relative_errors, slow
 
 import warpdiff as wd
 from warpdiff.diffraction import direct_sum, fourier_coefficients
@@ -225,3 +225,18 @@ def test_the_direct_method_does_not_use_the_series(monkeypatch):
     value = wd.spectral_reflectance(heightfield, (0, 0, 1), (0, 0, 1), 550.0, method="direct")
     assert value.dtype == np.float64
     assert value[0] == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
+def test_a_column_of_samples_is_a_row_that_is_turned(kind, row, rng):
+    """Directions along the grooves and across them must be exchanged if x and y are exchanged."""
+    coherence = coherence_of(kind, sigma_um=5.0)
+    turned = coherence_of(kind, sigma_um=5.0, periods=(3, 2))
+    column = wd.HeightField(row.heights_um.T, row.pitch_um[::-1])
+    lights, views = hemisphere(rng, 6, 0.3), hemisphere(rng, 6, 0.3)
+    options = {"method": "direct", "tolerance": 1e-2}
+    expected = wd.reflectance(row, lights, views, coherence=coherence, **options)
+    exchanged = lights[:, [1, 0, 2]], views[:, [1, 0, 2]]
+    result = wd.reflectance(column, *exchanged, coherence=turned, **options)
+    np.testing.assert_allclose(result, expected, rtol=1e-8, atol=1e-12)
+    assert np.ptp(expected[:, 1]) > 0.0
