@@ -189,8 +189,8 @@ def weigh_gains(
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         weight = wp.float32(0.0)
-        # Most rays have the gain 0, because subpixel cells are rarely divided. They are skipped, because the logarithm
-        # takes most of the time.
+        # After the first of up to four dots, few rays have a gain, because few subpixel cells are divided. Rays without
+        # a gain are skipped, because the logarithm takes most of the time.
         t = wp.float32(2.0)
         if gains[i] > 0.0:
             place = wp.log2(wp.max(wp.length(to_lights[i]), 1.0))

@@ -187,8 +187,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
         A ring is a circle of constant |(u, v)|. Its colours depend on the spectrum at the frequencies |(u, v)|/λ. For
         red light, these are in the octave of frequency with the index ``octave``. For blue light, they are in the next
-        octave of frequency, or just beyond it. That octave has as many azimuths, or twice as many. ``sequence`` is
-        working memory for ``length`` rows of the spectrum per azimuth.
+        octave of frequency, or just beyond it. The next octave has once or twice the number of azimuths of this one.
+        ``sequence`` is working memory for ``length`` rows of the spectrum per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):

@@ -158,7 +158,7 @@ class Run:
 
     @property
     def records(self) -> list[dict[str, Any]]:
-        """Result of each fault that was tried; of a fault that was tried twice, the later result."""
+        """Result of each fault that was tried; for a fault that was tried twice, the later result."""
         return list(self._by_identity.values())
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
@@ -175,13 +175,13 @@ class Run:
             yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
 
     def tests_of(self, mutant: Mutant) -> list[str]:
-        """Return the tests to run for a fault: those of the module's test file, then those of its package, then others.
+        """Return the tests to run for a fault, in four groups; in each group, fast tests come first.
 
-        In each group, fast tests come first. The list ends when a limit of the total time is reached. Apart from the
-        module's own tests, the list has all tests that execute the changed definition. The execution of constants,
-        structs and functions of kernels is not recorded. For a fault in one of these, the list has the tests that
-        execute code which uses it, and all tests of files that name the changed module, because kernels of tests call
-        such functions, too.
+        The groups are the tests of the module's test file, those of other files in the test folder of its package that
+        name the module, other tests of this folder, and all others. The list ends when a limit of the total time is
+        reached. The last two groups have only tests that execute the changed definition. The execution of constants,
+        structs and functions of kernels is not recorded. For a fault in one of these, the last two groups have the
+        tests that execute code which uses it.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:

@@ -220,7 +220,7 @@ def fewer(heights):
 
 
 def a_coherence(rng, kind, heightfield):
-    """Return a random coherence (how far light interferes) of a kind: a window, a source or numbers of periods."""
+    """Return a random coherence of the given kind: a window, a light source or numbers of periods."""
     if kind == "source":
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":

@@ -232,8 +232,8 @@ WARPDIFF_INLINE void visit_split_pixels(
     }
 }
 
-// Find the camera rays that hit the triangles of a batch. For each triangle, only the rays of pixels in its bounding
-// box are tested.
+// Find the camera rays that hit the triangles of a batch. For each triangle, only the rays of pixels in or next to its
+// bounding box are tested.
 template <class Picture>
 inline void visit_rays(const Picture& picture, Triangles& triangles)
 {

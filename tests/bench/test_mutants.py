@@ -94,7 +94,11 @@ def test_faults_of_a_header_run_tests_of_the_kernels_that_include_it(tmp_path):
 
 
 def test_functions_of_kernels_run_the_tests_of_files_that_name_their_module(tmp_path):
-    """Kernels of tests call such functions, which is not recorded. These tests come before those of other files."""
+    """Kernels in test files call functions of the library's kernels, which is not recorded.
+
+    Tests of files that name the changed module must run before others, and those of other files only if they execute
+    the changed code.
+    """
     (tmp_path / "kernels").mkdir()
     (tmp_path / "kernels/a.py").write_text("def helper():\n    return 1\n")
     folder = tmp_path / "tests/kernels"

@@ -228,8 +228,8 @@ def test_the_direct_method_does_not_use_the_series(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
-def test_a_column_of_samples_is_a_row_that_is_turned(kind, row, rng):
-    """Directions along the grooves and across them must be exchanged if x and y are exchanged."""
+def test_colours_stay_the_same_if_x_and_y_are_exchanged(kind, row, rng):
+    """A row of samples must have the same colours as a column of them, if light and viewer are exchanged likewise."""
     coherence = coherence_of(kind, sigma_um=5.0)
     turned = coherence_of(kind, sigma_um=5.0, periods=(3, 2))
     column = wd.HeightField(row.heights_um.T, row.pitch_um[::-1])

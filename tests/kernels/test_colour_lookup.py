@@ -95,3 +95,25 @@ def test_a_truncated_normal_distribution_has_the_variance_1(deviations):
     variance = colour_lookup.variance_before(deviations)
     end = deviations / np.sqrt(variance)
     assert truncnorm(-end, end, scale=np.sqrt(variance)).var() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_colour_does_not_depend_on_which_other_directions_have_a_gain(fingers, plan, rng):
+    """Look-ups leave out directions with the gain 0. The colours of the others must stay the same to the bit."""
+    scattering_vectors, to_lights, _, footprints = directions(rng)
+    every = np.ones(COUNT, dtype=bool)
+    direction_range = DirectionRange.of(fingers, plan.coherence, scattering_vectors, to_lights, every)
+    lookup = ColourLookup(fingers, plan, direction_range, device=wp.get_device("cpu"), threads=2)
+    results = []
+    for has_gain in (every, rng.random(COUNT) < 0.3):
+        outputs = [wp.zeros(COUNT, dtype=dtype, device="cpu") for dtype in (wp.vec3f, wp.float32)]
+        inputs = [
+            wp.array(values, dtype=dtype, device="cpu")
+            for values, dtype in ((scattering_vectors, wp.vec3d), (to_lights, wp.vec3f), (has_gain, wp.float32))
+        ]
+        spreads = wp.array(footprints, dtype=Footprint, device="cpu")
+        calls = lookup.kernel_calls(*inputs, IlluminatedMaterial("D65"), outputs[0], spreads, outputs[1])
+        launch_pipeline(calls[:1], COUNT, device=wp.get_device("cpu"), threads=2)
+        results.append([values.numpy()[has_gain] for values in outputs])
+        assert not outputs[0].numpy()[~has_gain].any()
+    for whole, part in zip(*results, strict=True):
+        np.testing.assert_array_equal(part, whole[has_gain])

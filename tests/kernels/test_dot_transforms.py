@@ -185,7 +185,7 @@ def test_samples_are_turned_and_scaled(rng: np.random.Generator) -> None:
 
 
 def test_gains_have_the_ratio_of_reflectances_at_half_the_angle_of_light_and_viewer(rng: np.random.Generator) -> None:
-    """The ratio must be interpolated over the cosine of this angle, |(u, v, w)|/2, which is at most 1."""
+    """The ratio must be interpolated over the cosine of this angle, |(u, v, w)|/2, limited to 1."""
     rays, part = 60, 2
     vectors, gains, shares = rng.normal(size=(rays, 3)), rng.uniform(size=rays), rng.uniform(size=(rays, 4))
     lengths = np.concatenate([[0.0, 2.0, 2.1], rng.uniform(0.0, 2.0, rays - 3)])

@@ -175,9 +175,9 @@ def test_one_of_many_lights_is_chosen_by_the_mean_roughness_of_a_footprint(rng):
 def test_lights_are_chosen_with_probabilities_proportional_to_their_reflected_light(rng):
     """A weight must be the power of the chosen light over that of the first light, divided by the probability.
 
-    The probabilities are made from Lambert's law and the microfacet distribution of the glTF specification, without
-    masking, with Schlick's Fresnel term of the view direction. All lights and all rays are in one launch of two
-    threads, which leaves out the last ray.
+    The probabilities are computed from Lambert's law and the microfacet distribution of the glTF specification, without
+    masking, with Schlick's Fresnel term of the view direction. One launch of two threads has all lights and all rays
+    but the first and the last.
     """
     count, powers, roughness = 4096, np.array([1.0, 0.3, 2.0, 0.7]), 0.6
     to_light, to_view = hemisphere(rng, 4, 0.2), hemisphere(rng, 1, 0.3)[0]

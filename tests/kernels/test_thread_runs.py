@@ -52,8 +52,8 @@ def scene():
 def test_a_picture_does_not_depend_on_the_number_of_indices_per_thread(monkeypatch):
     """A picture under lights of all kinds must be the same with one index and with three indices per thread.
 
-    So must the grids of faces that may occlude a light. Such grids are made only for many shadow rays, unless the
-    number of faces that one ray pays for is raised.
+    The shadows are found by grids of the faces that may occlude a light. Such grids are made only if there are many
+    shadow rays per face, so that the limit is raised here.
     """
     monkeypatch.setattr(camera_rays, "_FACES_PER_RAY", 10**6)
     disc, point = wd.DirectionalLight((0.2, 0.1, 1.0), angular_diameter_deg=20.0), wd.PointLight((0.5, 0.5, 3.0))
@@ -75,7 +75,7 @@ def test_a_picture_does_not_depend_on_the_number_of_indices_per_thread(monkeypat
 
 
 def textured_scene(rng):
-    """Return a textured metal that emits light and a grating map, side by side, half covered by a translucent pane."""
+    """Return a grating map next to a textured metal that emits light, both half covered by a translucent pane."""
     images = [Image.fromarray(rng.integers(60, 255, (8, 8, 4), dtype=np.uint8)) for _ in range(3)]
     metal = PBRMaterial(
         name="metal", baseColorTexture=images[0].convert("RGB"), metallicRoughnessTexture=images[1].convert("RGB"),
@@ -92,7 +92,7 @@ def textured_scene(rng):
 
 @pytest.mark.parametrize("options", [{}, {"refine": False, "footprint": False, "samples_per_pixel": 2}])
 def test_a_picture_of_textures_and_dots_does_not_depend_on_the_number_of_indices_per_thread(options, rng, monkeypatch):
-    """Transparent faces, textures and the dots of a grating map must not depend on it, refined or not."""
+    """Transparent faces, textures and dots of a grating map must be the same with one and with three indices."""
     shape = (8, 8)
     dots = wd.GratingMap(
         WAVE, turn_deg=rng.uniform(0.0, 180.0, shape), depth_scale=rng.uniform(0.3, 1.0, shape),

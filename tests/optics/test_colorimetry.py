@@ -96,7 +96,7 @@ def test_the_quadrature_of_a_linear_reflectance_is_accurate(colour):
 
 
 def test_negative_weights_are_added_to_their_neighbours():
-    """The sum of the weights, the colour of white, must not change, also if an end has a negative weight."""
+    """The sum of the weights (the colour of white) must not change, even if an end has a negative weight."""
     weights = np.array([[-0.2, 1.0, 0.1], [1.0, -0.1, 1.0], [1.0, 1.0, 1.0], [0.3, 1.0, -0.4]])
     result = colorimetry._without_negative(weights)
     assert result.min() >= 0.0

@@ -227,7 +227,7 @@ def test_a_pixel_that_cannot_use_footprints_counts_as_16_directions(fingers, mon
 
 
 def test_a_plan_without_a_search_has_the_mean_cost_of_its_directions(fingers, rng):
-    """For few directions no search is made. The plan must state their mean cost."""
+    """For few directions, no search is made. The plan must state their mean cost."""
     lights, views = hemisphere(rng, 5, 0.5), hemisphere(rng, 5, 0.5)
     plan = wd.plan(fingers, lights, views)
     vectors = -lights - views

@@ -130,8 +130,9 @@ class OrderModel:
     def power_adjoints(self, adjoints: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the adjoints of the powers |H|² from the adjoints of the efficiencies.
 
-        An adjoint is the derivative of a scalar loss. The powers form a matrix, which has one row per incident and one
-        column per reflected order. The result is this matrix row by row, shape (rows · columns,).
+        The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity. The powers form a
+        matrix, which has one row per incident and one column per reflected order. The result has the adjoints of its
+        elements, row by row, shape (rows · columns,).
         """
         mirrors = adjoints * self._reflected.value
         result = np.zeros_like(self._shares)

@@ -54,7 +54,7 @@ class PeriodSums:
         """Return the power |P|² and its derivatives for each of p pairs of a direction and a wavelength, (p, 9).
 
         The order of the columns is that of ``Q_X`` to ``VALUE`` in ``power_sums``. Whole periods have no Gaussian
-        weights, so that the columns ``M_XX``, ``M_XY`` and ``M_YY`` of their derivatives are 0.
+        weights. The columns ``M_XX``, ``M_XY`` and ``M_YY``, the derivatives by the matrix of these weights, are 0.
         """
         of_y, of_x = self._interference(pairs)
         result = np.zeros((len(pairs), 9))

@@ -51,8 +51,8 @@ _OCTAVES = 3
 _GRID_TOLERANCE = 1e-2
 # Number of bright validation directions below which a search uses only a part of its error budget. A direction is
 # bright if its luminance is at least about 1e-3 of that of the brightest ones. Validation directions are a sample of
-# the directions of a call, on which the plan is checked. If too few of them are bright, they do not represent all
-# bright directions of the call. The number was fitted to random calls with few bright directions
+# the directions of a call, on which the plan is checked. If too few validation directions are bright, these few do
+# not represent all bright directions of the call. The number was fitted to random calls with few bright directions
 # (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
 # If fewer than MIN_BRIGHT validation directions are bright, a search uses only this share of its remaining error

@@ -286,8 +286,8 @@ def _measured(
     """Search for the cheapest plan that meets the tolerance in a sample of directions, with or without a colour table.
 
     If no light is scattered in any of these directions, errors cannot be measured. The result is then ``upper``, the
-    plan from upper bounds of the error. ``affordable`` is the largest cost of a table [multiply-adds]; 0
-    excludes tables.
+    plan from upper bounds of the error, unless ``upper`` has fewer wavelengths than its bounds require. ``affordable``
+    is the largest cost of a table [multiply-adds]; 0 excludes tables.
     """
     plan = _with_basis(upper, request, direction_range)
     measured = trial.Trial(plan, request, direction_range, sample, coarse=_coarse_plan(request, direction_range))

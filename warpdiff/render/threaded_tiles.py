@@ -49,8 +49,8 @@ class HostTileGroup(TileGroup):
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
         """Return the arrays that are filled when tiles (subdivided pixels) are shaded: sums over their cells.
 
-        ``is_base`` states whether the cells are the first ones of their pixels. The mean colours of the quadrants of
-        the pixels are then included.
+        ``is_base`` states whether the cells are those of the coarsest level. The mean colours of the quadrants of the
+        pixels are then included.
         """
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
