@@ -188,13 +188,14 @@ def weigh_gains(
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        weight = wp.float32(0.0)
         # After the first of up to four dots, few rays have a gain, because few subpixel cells are divided. Rays without
         # a gain are skipped, because the logarithm takes most of the time.
-        t = wp.float32(2.0)
-        if gains[i] > 0.0:
-            place = wp.log2(wp.max(wp.length(to_lights[i]), 1.0))
-            t = wp.abs(place - octaves) * per_octave
+        if gains[i] == 0.0:
+            gains_out[i] = 0.0
+            continue
+        place = wp.log2(wp.max(wp.length(to_lights[i]), 1.0))
+        t = wp.abs(place - octaves) * per_octave
+        weight = wp.float32(0.0)
         if t < 1.0:
             weight = 0.5 * (1.0 - t * t) * (2.0 - t)
         elif t < 2.0:

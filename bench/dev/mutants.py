@@ -178,7 +178,7 @@ class Run:
         """Return the tests to run for a fault, in four groups; in each group, fast tests come first.
 
         The groups are the tests of the module's test file, those of other files in the test folder of its package that
-        name the module, other tests of this folder, and all others. The list ends when a limit of the total time is
+        import the module, other tests of this folder, and all others. The list ends when a limit of the total time is
         reached. The last two groups have only tests that execute the changed definition. The execution of constants,
         structs and functions of kernels is not recorded. For a fault in one of these, the last two groups have the
         tests that execute code which uses it.
@@ -191,12 +191,13 @@ class Run:
         folder = f"tests/{'kernels' if mutant.package == 'native' else mutant.package}/"
         stem = Path(mutant.path).stem
         texts = {path: path.read_text(encoding="utf-8") for path in (self.tree / folder).glob("test_*.py")}
-        naming = {f"{folder}{path.name}" for path, text in texts.items() if re.search(rf"\b{stem}\b", text)}
+        imports = re.compile(rf"^(?:from|import)\b.*\b{stem}\b", re.MULTILINE)
+        importing = {f"{folder}{path.name}" for path, text in texts.items() if imports.search(text)}
         ranked = []
         for name, test in self._tests.items():
-            is_own, is_naming = name.startswith(f"{folder}test_{stem}.py"), name.partition("::")[0] in naming
-            if is_own or is_naming or not reached.isdisjoint(test["names"]):
-                ranked.append((not is_own, not is_naming, not name.startswith(folder), test["seconds"], name))
+            is_own, imports_it = name.startswith(f"{folder}test_{stem}.py"), name.partition("::")[0] in importing
+            if is_own or imports_it or not reached.isdisjoint(test["names"]):
+                ranked.append((not is_own, not imports_it, not name.startswith(folder), test["seconds"], name))
         ranked.sort()
         ends = accumulate(seconds for *_, seconds, _ in ranked)
         return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]

@@ -93,10 +93,10 @@ def test_faults_of_a_header_run_tests_of_the_kernels_that_include_it(tmp_path):
     assert run.tests_of(fault) == ["tests/traced.py"]
 
 
-def test_functions_of_kernels_run_the_tests_of_files_that_name_their_module(tmp_path):
+def test_functions_of_kernels_run_the_tests_of_files_that_import_their_module(tmp_path):
     """Kernels in test files call functions of the library's kernels, which is not recorded.
 
-    Tests of files that name the changed module must run before others, and those of other files only if they execute
+    Tests of files that import the changed module must run before others, and those of other files only if they execute
     the changed code.
     """
     (tmp_path / "kernels").mkdir()
@@ -104,7 +104,7 @@ def test_functions_of_kernels_run_the_tests_of_files_that_name_their_module(tmp_
     folder = tmp_path / "tests/kernels"
     folder.mkdir(parents=True)
     (folder / "test_b.py").write_text("from kernels import a\n")
-    (folder / "test_c.py").write_text("from kernels import ab\n")
+    (folder / "test_c.py").write_text("from kernels import ab\n# a comment on a\n")
     run = mutants.Run.__new__(mutants.Run)
     run.tree, run._most_s, run._executed = tmp_path, 10.0, {"traced"}
     names = [f"tests/kernels/test_{letter}.py::test" for letter in "bc"]

@@ -414,7 +414,7 @@ def test_a_table_of_the_strongest_orders_of_each_wavelength():
         assert sorted(strongest) == sorted(values)[-2:]
     with pytest.raises(ValueError, match="count must be an integer, at least 1, got 0"):
         result.table(0)
-    table = wd.order_efficiencies(wd.gratings.fingers(), (0, 0, 1), 550.0).table(30)
-    indices = zip(table["m_y"].tolist(), table["m_x"].tolist(), strict=True)
     result = wd.order_efficiencies(wd.gratings.fingers(), (0, 0, 1), 550.0)
+    table = result.table(30)
+    indices = zip(table["m_y"].tolist(), table["m_x"].tolist(), strict=True)
     np.testing.assert_array_equal(np.ravel([result[index] for index in indices]), table["efficiency"])

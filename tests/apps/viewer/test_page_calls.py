@@ -159,7 +159,8 @@ def test_a_scene_has_a_light_or_an_environment_or_both(files):
 def test_grating_maps_of_the_command_line_are_part_of_scene_python_lines_and_command(values, monkeypatch, tmp_path):
     """The viewer's renderer must have the grating map and coherence of the command line.
 
-    So must the lines of Python and the command that the viewer prints to reproduce its picture."""
+    So must the lines of Python and the command that the viewer prints to reproduce its picture.
+    """
     Image.fromarray(np.array([[0, 64], [128, 255]], dtype=np.uint8)).save(tmp_path / "turn.png")
     path = str(tmp_path / "turn.png")
     dots = (("turn_deg", (path, 0.0, 90.0)), ("pitch_scale", 1.25))
