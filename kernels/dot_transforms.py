@@ -78,11 +78,11 @@ def transform_samples(
 ):  # fmt: skip
     """Transform the scattering vectors at hits on a surface with a grating map to the frames of its dots.
 
-    Directions to the light and footprints are transformed, too. At all other hits, the results are 0. A dot is a
-    rectangle of the map with its own pitch p, turn φ and depth d, relative to one height field.
-
-    After the first of up to four dots, only the results of subpixel cells with a share in the dot are written. Few
-    subpixel cells have one, and gains of 0 exclude the others from look-ups.
+    Directions to the light and footprints are transformed, too. A dot is a rectangle of the map with its own pitch p,
+    turn φ and depth d, relative to one height field. A subpixel cell overlaps up to four dots, and a launch transforms
+    the samples for one of them. For the first dot, results are 0 where nothing is transformed. For the second to fourth
+    dot, results are written only for subpixel cells that overlap this dot. These are few. All other rays have the gain
+    0 later, and are not looked up.
 
     Args:
         transforms: Transform of each dot, shape (rows, columns): p cos φ, p sin φ, d, and p relative to the smallest p
@@ -188,8 +188,8 @@ def weigh_gains(
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        # After the first of up to four dots, few rays have a gain, because few subpixel cells are divided. Rays without
-        # a gain are skipped, because the logarithm takes most of the time.
+        # Few subpixel cells overlap more than one dot. For the second to fourth dot, most gains are therefore 0. These
+        # are not weighed, because the logarithm would take most of the time.
         if gains[i] == 0.0:
             gains_out[i] = 0.0
             continue

@@ -53,11 +53,13 @@ struct CutGaussian {
     float deviations, per_variance;
 };
 
-// Footprints of N pixels in (u, v), with the covariance of each footprint.
+// Footprints of at most N rays in (u, v), with the covariance of each footprint. Each ray belongs to a pixel or to a
+// subpixel cell. `ray` is the index of the footprint's ray in its batch. Rays with the gain 0 have no footprint;
+// there are `count` footprints.
 template <int N>
 struct Footprints {
     int count;
-    Batch<N, int> ray; // index of the ray in the batch of rays, in which rays with the gain 0 have no footprint here
+    Batch<N, int> ray;
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
     Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the pixel filter
@@ -131,8 +133,8 @@ WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, f
     };
 }
 
-// List the rays of a batch that have a gain (geometry factor), and load their footprints. The other rays contribute
-// nothing: they are in shadow, or have another material or dot.
+// List the rays of a batch whose gain (geometry factor) is not 0, and load their footprints. The other rays contribute
+// nothing, for example because they are in shadow or hit a material that has another table.
 template <bool SOURCE, int N>
 WARPDIFF_INLINE void load_footprints(Footprints<N>& pixels, const double* scattering_vectors, const float* to_lights,
     const float* footprints, const float* gains, int count)
@@ -415,8 +417,9 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
 }
 
 // Select a mip level (a blurred copy of the table) for each segment. A segment is a group of rings of the table
-// (circles of constant |(u, v)|) within one octave of |(u, v)|. For each segment, compute the azimuth (polar angle),
-// the blur over the azimuth, and the index of the table row on the selected level at which the segment begins.
+// (circles of constant |(u, v)|) within one octave of |(u, v)|. For each segment, compute its azimuth (polar angle) in
+// steps of the selected level, the blurs over the azimuth of the footprint and of the level, and the index in
+// `table.rows` of its first row.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
